@@ -21,6 +21,7 @@ from smooth_operator.hand_discovery.fingers import part_distances
 from smooth_operator.hand_discovery.hand_validation import (
     check_hand,
     check_method,
+    check_pinches,
     closest_pinch,
     reachable_poses,
     round_trip,
@@ -31,6 +32,7 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.retargeting.presets import method_config
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
@@ -43,6 +45,7 @@ BASICS = {
     "size",
     "palm frame",
     "palm tilt",
+    "wrist",
     "joint ranges",
     "joints used",
     "fingertips",
@@ -80,7 +83,7 @@ def basics(hand: str | Hand | HandSpec, side: str | None = None) -> HandValidati
 def test_a_built_in_hand_passes(name, side):
     found = basics(name, side)
     assert {check.name for check in found.checks} == BASICS
-    # Inspire's thumb does not reach beyond the index finger, Revo 2's not the little finger
+    # Inspire's thumb does not touch ring and little finger, Revo 2's not the little finger
     able = {"pinches"} if name in ("inspire_hand", "brainco_revo2") else set()
     assert {c.name for c in found.checks if c.verdict not in ("ok", "unjudged")} == able, found
 
@@ -292,6 +295,32 @@ def test_the_closest_pinch_is_closer_than_any_random_pose():
     best = np.linalg.norm(tips[:, 4] - tips[:, 0], axis=1).min()
     assert closest_pinch(samples, "pinky") == pytest.approx(best, abs=1e-3)
     assert closest_pinch(samples, "pinky") <= best + 1e-9
+
+
+def test_the_least_gap_of_surfaces_is_reported_for_each_finger():
+    """Of a hand whose thumb can't reach its ring and little fingers."""
+    hand = load_hand("inspire_hand")
+    samples = Samples(hand)
+    check = check_pinches(samples, hand.fingers)
+    tips, surfaces = check.figures["tips_mm"], check.figures["surfaces_mm"]
+    assert (surfaces["index"], surfaces["middle"]) == (0.0, 0.0)
+    assert check.advice.startswith("no pinch with ring, pinky:")  # the middle finger touches
+    every = hand.full_configuration(samples.poses)
+    wanted = np.tile([False, False, True, True], (len(every), 1))
+    random = 1e3 * np.nanmin(tip_surface_distances(hand, every, wanted), axis=0)[2:]
+    for name, least in zip(("ring", "pinky"), random, strict=True):
+        assert 5.0 < surfaces[name] < min(tips[name], least)
+        assert f"{name} {surfaces[name]:.1f}" in check.measured
+    # the thumb and the finger meet in a plane: a grid over their joints agrees
+    joints = [j for j, n in enumerate(hand.actuated_names) if "thumb" in n or "pinky" in n]
+    axes = (np.linspace(*hand.limits[j], 25) for j in joints)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(joints))
+    q = np.tile(hand.neutral, (len(grid), 1))
+    q[:, joints] = grid
+    every = hand.full_configuration(q)
+    wanted = np.tile([False, False, False, True], (len(every), 1))
+    best = 1e3 * tip_surface_distances(hand, every, wanted)[:, 3].min()
+    assert surfaces["pinky"] == pytest.approx(best, abs=1.0)
 
 
 def test_distances_to_shapes():

@@ -291,7 +291,17 @@ def _trial(spec: HandSpec) -> tuple[Hand | None, tuple[str, ...]]:
         hand = load_hand_spec(spec)
     except SmoothOperatorError as error:
         return None, (f"the spec file is written, but can't be loaded yet: {error}",)
-    return hand, tuple(filter(None, [stand_in_note(hand)]))
+    return hand, tuple(filter(None, [stand_in_note(hand), _motors_note(hand)]))
+
+
+def _motors_note(hand: Hand) -> str | None:
+    """Note on a model that names neither motors nor couplings, such as a URDF without mimic."""
+    if hand.couplings or hand.model.nu or len(hand.actuated) == 1:
+        return None
+    return (
+        f"the model has {len(hand.actuated)} joints and no couplings: check the maker's number of "
+        "motors. If it is smaller, set the joints that follow another one with --couple"
+    )
 
 
 def _comment(discovery: Discovery) -> str:

@@ -342,12 +342,6 @@ def _described(
         ),
     )
     notes = (*notes, *coupling_notes(coupled), *_chain_notes(skeleton, tree))
-    if not coupled and not skeleton.model.nu:
-        notes = (
-            *notes,
-            f"{len(moved)} joints and no couplings in the file: check the maker's number of "
-            "motors. If it is smaller, set the joints that follow another one with --couple",
-        )
     return Discovery(spec, findings, descriptions, coupled, notes)
 
 

@@ -5,7 +5,7 @@ the landmarks of a pose of the hand; the result should be the same pose."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -37,6 +37,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
+from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
@@ -100,18 +101,29 @@ _EVALUATIONS: Final = 60
 
 
 def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
-    """Finds the fingers with which the thumb can pinch.
+    """Finds the fingers with which the thumb can pinch, and the least gaps of the others.
 
-    It compares the landmarks of the tips; the surfaces touch earlier.
+    It measures the landmarks of the tips, and the surfaces of the last links, which touch earlier.
+    A gap is the least one within the limits, in whatever pose the other parts of the hand are.
     """
     hand = samples.hand
     others = [name for name in hand.fingers if name != "thumb" and name in sound]
     if "thumb" not in sound or not others:
         return Check("pinches", "skipped", "not checked: correct the fingertips first")
-    gaps = {name: closest_pinch(samples, name) for name in others}
-    figures = {name: round(1e3 * gap, 2) for name, gap in gaps.items()}
-    text = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
-    apart = [name for name, gap in gaps.items() if gap > TOUCH_GAP]
+    found = {name: _closest(samples, name) for name in others}
+    gaps = {name: gap for name, (gap, _) in found.items()}
+    surfaces = {name: closest_surfaces(samples, name, q) for name, (_, q) in found.items()}
+    figures = {
+        "tips_mm": {name: round(1e3 * gap, 2) for name, gap in gaps.items()},
+        "surfaces_mm": {
+            name: None if np.isnan(gap) else round(1e3 * gap, 2) for name, gap in surfaces.items()
+        },
+    }
+    text = f"least gap to the thumb between tip points: {_millimetres(gaps)}"
+    if not np.isnan(list(surfaces.values())).any():
+        text += f"; between surfaces: {_millimetres(surfaces)}"
+    # comparisons with NaN, of a hand without shapes, are false
+    apart = [n for n, gap in gaps.items() if gap > TOUCH_GAP and not surfaces[n] <= _TOUCH]
     check = partial(Check, "pinches", figures=figures)
     if not apart:
         return check("ok", text)
@@ -128,11 +140,59 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
     )
 
 
+def _millimetres(gaps: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
+
+
+_NEAREST: Final = 40  # random poses from which the surfaces' least gap is searched
+_SHARES: Final = (0.1, 0.03, 0.01)  # of the joints' ranges, by which these poses are varied
+_VARIED: Final = 60  # variations by each of them
+
+
+def closest_surfaces(samples: Samples, finger: str, start: Float[np.ndarray, " m"]) -> float:
+    """Smallest gap between the last links of thumb and finger over all poses within the limits [m].
+
+    Random variations, by ever smaller steps, of the best of many random poses and of ``start``.
+
+    Args:
+        start: (m,) a pose in which the tips are close [rad].
+
+    Returns:
+        The gap; 0 if the surfaces can touch, NaN if one of the links has no shape.
+    """
+    hand, k = samples.hand, samples.hand.fingers.index(finger)
+    low, high = hand.limits.T
+    wanted = np.arange(len(hand.fingers) - 1) == k - 1
+    rng = np.random.default_rng(0)
+
+    def nearest(poses: Float[np.ndarray, "p m"]) -> tuple[float, Float[np.ndarray, " m"]]:
+        every = hand.full_configuration(poses)
+        gaps = tip_surface_distances(hand, every, np.tile(wanted, (len(poses), 1)))[:, k - 1]
+        best = int(np.argmin(gaps))
+        return float(gaps[best]), poses[best]
+
+    apart = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1)
+    least, pose = nearest(np.vstack([start, samples.poses[np.argsort(apart)[:_NEAREST]]]))
+    for share in _SHARES:
+        if not least > 0:  # they touch, or it is NaN
+            break
+        steps = rng.uniform(-share, share, (_VARIED, len(low))) * (high - low)
+        gap, varied = nearest(np.clip(pose + steps, low, high))
+        if gap < least:
+            least, pose = gap, varied
+    return max(least, 0.0) if np.isfinite(least) else least
+
+
 def closest_pinch(samples: Samples, finger: str) -> float:
     """Smallest distance of the tips of thumb and finger over all poses within the limits [m].
 
     Bounded least squares, started from the best of many random poses.
     """
+    return _closest(samples, finger)[0]
+
+
+def _closest(samples: Samples, finger: str) -> tuple[float, Float[np.ndarray, " m"]]:
+    """The least distance of two tips [m], and its pose [rad]."""
     from scipy.optimize import least_squares
 
     hand, k = samples.hand, samples.hand.fingers.index(finger)
@@ -148,16 +208,17 @@ def closest_pinch(samples: Samples, finger: str) -> float:
     def jacobian(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3 m"]:
         return np.asarray((gap(q + nudges) - gap(q - nudges)).T / 2e-6)
 
-    best = np.inf
+    best, pose = np.inf, samples.poses[int(np.argmin(apart))]
     for start in samples.poses[np.argsort(apart)[:_STARTS]]:
         inside = np.clip(start, low + inset, high - inset)
         solution = least_squares(
             gap, inside, jacobian, bounds=(low, high), x_scale=high - low, max_nfev=_EVALUATIONS
         )
-        best = min(best, float(np.linalg.norm(solution.fun)))
+        if (distance := float(np.linalg.norm(solution.fun))) < best:
+            best, pose = distance, np.asarray(solution.x)
         if best < _MET:
             break
-    return best
+    return best, pose
 
 
 _APPROACH: Final = 20  # frames from the neutral pose to the pose
