@@ -37,8 +37,8 @@ side, coupled joints, wrist and a neutral pose from the motion of the joints, no
 The output lists the uncertain findings, each with the option that overrides it; run the command
 again with those options. If side, palm, thumb, order or wrist would be a guess, the command asks
 for the option and writes nothing. --all prints every finding with its reason; the spec file also
-has them as comments. The model and its meshes are copied to the folder of the spec file, so you may move or
-delete the original. If you change the original, run the command again.
+has them as comments. The model and its meshes are copied to the folder of the spec file, so you may
+move or delete the original. If you change the original, run the command again.
 
 Examples:
   smooth-operator hands add vendor/hand_right.urdf
