@@ -144,7 +144,7 @@ def _gripper(
     jaws = find_jaws(skeleton, chain, overrules)
     _check_joints(skeleton, chain)
     spec = HandSpec(
-        name=name or _name(path),
+        name=name or hand_name(path),
         side=side or "right",
         model=model_path(path),
         palm=skeleton.body_name(jaws.palm),
