@@ -307,7 +307,7 @@ def test_the_least_gap_of_surfaces_is_reported_for_each_finger():
     assert check.advice.startswith("no pinch with ring, pinky:")  # the middle finger touches
     every = hand.full_configuration(samples.poses)
     wanted = np.tile([False, False, True, True], (len(every), 1))
-    random = 1e3 * np.nanmin(tip_surface_distances(hand, every, wanted), axis=0)[2:]
+    random = 1e3 * tip_surface_distances(hand, every, wanted)[:, 2:].min(axis=0)
     for name, least in zip(("ring", "pinky"), random, strict=True):
         assert 5.0 < surfaces[name] < min(tips[name], least)
         assert f"{name} {surfaces[name]:.1f}" in check.measured

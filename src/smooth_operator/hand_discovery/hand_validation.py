@@ -144,8 +144,16 @@ def _millimetres(gaps: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
 
 
-_NEAREST: Final = 40  # random poses from which the surfaces' least gap is searched
-_SHARES: Final = (0.1, 0.03, 0.01)  # of the joints' ranges, by which these poses are varied
+_NEAREST: Final = 120  # random poses from which the surfaces' least gap is searched
+_SHARES: Final = (
+    0.3,
+    0.3,
+    0.1,
+    0.1,
+    0.03,
+    0.03,
+    0.01,
+)  # of the joints' ranges, by which these poses are varied
 _VARIED: Final = 60  # variations by each of them
 
 
