@@ -204,8 +204,11 @@ def test_the_list_names_drivers_tables_and_folder(capsys, tmp_path, monkeypatch)
     assert {"leap", "orca", "dynamixel"} <= found["drivers"].keys()
     assert found["tables"]["leap_right"]["actuators"] == 16
     assert "odd_right.toml" in found["unreadable"][0]
+    assert "none has moved a physical hand" in found["tried"]
     assert main(["hardware", "list"]) == 0
-    assert "orca_left" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "orca_left" in printed
+    assert found["tried"] in printed
 
 
 def test_the_monitor_shows_the_hand_and_moves_nothing(capsys, device, hand):

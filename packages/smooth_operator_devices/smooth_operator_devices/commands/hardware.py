@@ -38,6 +38,11 @@ from smooth_operator_devices.hands.table_check import HELP, ActuatorMover, Table
 
 _REDRAW_S: Final = 0.2
 
+_TRIED: Final = (
+    "each driver was tested with a simulator or with the maker's package; none has moved a "
+    "physical hand yet"
+)
+
 
 def list_hardware(options: List) -> None:
     """Prints drivers, tables and serial ports."""
@@ -59,6 +64,7 @@ def list_hardware(options: List) -> None:
     if options.json:
         listing: dict[str, Any] = {
             "drivers": drivers,
+            "tried": _TRIED,
             "tables": {
                 path.name.removesuffix(".toml"): {
                     "file": str(path),
@@ -78,6 +84,7 @@ def list_hardware(options: List) -> None:
         return
     console = output_console()
     console.print(_rows(("driver", "hand"), list(drivers.items())))
+    console.print(f"{_TRIED}\n", markup=False, soft_wrap=True)
     rows = [
         (
             path.name.removesuffix(".toml"),
