@@ -456,6 +456,19 @@ class RohandGen1(Rohand):
     generation = 1
 
 
+class Aero(OnALine):
+    driver, library = "aero", "serial"
+
+    def start(self) -> None:
+        from simulators.aero_hand import AeroHand
+
+        table = self.on_another_hand("aero", "unitree_dex3")
+        self.serve(AeroHand("right"), table=table)
+
+    def powered(self) -> bool:
+        return not self.hand.torque_mode
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -646,6 +659,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "linker-l21": LinkerL21,
     "rohand": Rohand,
     "rohand-gen1": RohandGen1,
+    "aero": Aero,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,
@@ -661,7 +675,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
 ON_A_PTY: Final = (
     *("inspire-rtu", "ability", "leap", "revo2-sdk"),
     *("feetech-sts", "feetech-scs"),
-    *("rohand", "rohand-gen1"),
+    *("rohand", "rohand-gen1", "aero"),
 )
 
 

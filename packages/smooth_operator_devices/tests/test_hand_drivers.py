@@ -336,7 +336,7 @@ WITH_LIMITS = (
 """Hands in which the driver sets what a restart loses."""
 
 
-@pytest.mark.parametrize("rig", [*WITH_LIMITS, "allegro-v5", "allegro-v4"], indirect=True)
+@pytest.mark.parametrize("rig", [*WITH_LIMITS, "allegro-v5", "allegro-v4", "aero"], indirect=True)
 def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(rig, monkeypatch):
     readings: list[float] = []
     look = SettingsWatch.look

@@ -183,6 +183,7 @@ _DEVICE_SINKS: Final = {
     "ability": ("an Ability Hand", "ability"),
     "wuji": ("a Wuji Hand", "wuji"),
     "revo2": ("a BrainCo Revo2", "revo2"),
+    "aero": ("an Aero Hand Open", "aero"),
     "rohand": ("an OYMotion ROHand", "rohand"),
 }
 """Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are
