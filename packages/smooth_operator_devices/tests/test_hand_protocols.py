@@ -268,6 +268,35 @@ def test_linker_models_report_heat_and_faults_and_take_limits(
         until(lambda: np.abs(device.read().positions - goals).max() < 1)
 
 
+def test_linker_model_without_a_table_gets_one_from_a_check(closing, tmp_path, monkeypatch):
+    """The L25 with 16 motors, as its page says."""
+    needs("linker-l20")
+    import can
+    from simulators.common import serve_can
+    from simulators.linkerhand_can import LinkerHand
+
+    wire = f"protocol-{next(_channels)}-{os.getpid()}"
+    served = contextlib.ExitStack()
+    hand = LinkerHand("L25 linkerbot", "right")
+    served.enter_context(serve_can(hand, can.Bus(wire, interface="virtual")))
+    closing(served)
+    joint = load_hand("sharpa_wave", side="right").actuated_names[3]
+    replies = iter([joint, "k", "", "", "q"])
+    monkeypatch.setattr("builtins.input", lambda _: next(replies, "q"))
+    output = tmp_path / "l25.toml"
+    argv = ["hardware", "check", f"linker:virtual:{wire},model=l25_16", "--hand", "sharpa_wave"]
+    argv += ["--ids", "0-15", "--unit", "0-255", "--ends", "0", "255", "--output", str(output)]
+    assert main(argv) == 0
+    written = read_table(output)
+    assert (written.driver, written.unit, len(written.actuators)) == ("linker", "0-255", 16)
+    assert written.actuators[0].joints == {joint: 1.0}
+    sink = build_sink(f"linker:virtual:{wire},model=l25_16,table={output}")
+    device = sink.device(sink.actuators("right"))
+    closing(device)
+    device.open()
+    assert device.read().positions.tolist() == hand.motors.positions.round().tolist()
+
+
 def test_linker_o6_reports_currents(closing):
     device, hand, _ = linker(closing, "O6")
     hand.motors.stuck.add(2)
