@@ -458,7 +458,7 @@ def test_another_hand_is_refused_with_what_differs(trained, tmp_path):
     spec.model.write_text(text.replace('pos="0 0 0.02"', 'pos="0 0 0.025"'), encoding="utf-8")
     refused(load_hand_spec(spec), "fingertips are up to .* mm off")
     spec = replace(pincer(tmp_path), side="left")  # called left, and still the same
-    refused(load_hand_spec(spec), "not the mirror image of it")
+    refused(load_hand_spec(spec), "does not match the mirror image of it")
     assert model.mirrored_for(load_hand_spec(replace(spec, mirror=True)))
     assert not model.mirrored_for(load_hand_spec(pincer(tmp_path)))
 

@@ -77,7 +77,7 @@ def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):
     assert words in doctor.environment()["programs"]
     messages = [record.message for record in caplog.records]
     assert [words in message for message in messages] == [True, True]
-    assert all("SMOOTH_OPERATOR_CACHE may name another" in message for message in messages)
+    assert all("set SMOOTH_OPERATOR_CACHE to a folder" in message for message in messages)
     assert program_cache.program_cache() is None
     assert len(caplog.records) == 2
 

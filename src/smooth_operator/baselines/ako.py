@@ -154,7 +154,7 @@ class SmoothL1Velocity(JointTerm):
     """Smooth-L1 of the weight times the change of each joint.
 
     Attributes:
-        transition: change at which smooth-L1 turns from quadratic to linear [rad].
+        transition: change at which smooth-L1 changes from quadratic to linear [rad].
     """
 
     transition: float
@@ -170,7 +170,7 @@ class SmoothL1Velocity(JointTerm):
 
 @dataclass(frozen=True)
 class AkoObjectiveConfig(ObjectiveConfig):
-    """Weights of AKO's objective: its own penalties of vectors and of the change of joints."""
+    """Settings of AKO's objective, which has its own penalties on vectors and joint changes."""
 
     def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
         """Smooth-L1 of the weight times the length of each error."""

@@ -29,7 +29,7 @@ Thumb, from the three bones CMC-MCP, MCP-IP, IP-tip:
   metacarpal and the direction to the base of the little finger, 27 degrees distal of ulnar, in
   which a thumb flexes (Kapandji 1986).
 
-Every angle is an arc tangent of two components, so a straight finger is no special case.
+Every angle is an arc tangent of two components, so a straight finger is not a special case.
 
 *The map* has a row for each joint: position = offset + sum of gain x angle. Rows that are not in a
 hand's description are measured on the robot: its landmarks have the same angles as a human hand, so
@@ -170,13 +170,13 @@ class JointAngle(Method):
         return tuple(sorted({*self.map.needs, *self.objective.layout.landmarks}))
 
     def init(self, seed: int) -> JointAngleState:
-        """State with the neutral pose; nothing is random."""
+        """State with the neutral pose; the method uses no random numbers."""
         return JointAngleState(jnp.asarray(self.hand.neutral, jnp.float32))
 
     def step(
         self, state: JointAngleState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[JointAngleState, MethodOutput]:
-        """One frame."""
+        """Computes one frame; see ``Method.step``."""
         del ticks
         q = self.map.positions(aligned)
         layout = self.objective.layout
@@ -203,10 +203,10 @@ def joint_map(hand: Hand) -> tuple[JointMap, ...]:
     pseudo-inverse gives the gains. A joint that alone moves one angle follows that angle; joints
     that move the same angles, as at a thumb's base, share them. A joint that bends two phalanges
     follows both by least squares (half of each if it bends both equally), so that the curl of the
-    whole finger is the human's. Following only the proximal phalanx gave a thumb cosine up to 0.03
-    higher, but a motion less like the human's: on a glove's first 500 frames a velocity correlation
-    of 0.88 instead of 0.92, and a flatness of 1.24e-5 instead of 0.99e-5 m^2. The offset maps the
-    angles of the neutral pose to the neutral pose. A joint that moves no angle stays at neutral.
+    whole finger matches the human's. Following only the proximal phalanx gave a thumb cosine up to
+    0.03 higher, but a motion less like the human's: on a glove's first 500 frames, a velocity
+    correlation of 0.88 instead of 0.92, and a flatness of 1.24e-5 instead of 0.99e-5 m^2. The
+    offset maps the neutral pose's angles to that pose. A joint that moves no angle stays neutral.
 
     Raises:
         HandModelError: a joint without a row moves a finger without all four landmarks.
@@ -404,7 +404,7 @@ def _wrapped(angle: AnyArray, xp: ModuleType) -> AnyArray:
 
 
 _TURN: Final = np.pi / 8 - np.pi / 2
-"""Turn of the palm's frame about its normal [rad]: from the index finger's ray to its y axis."""
+"""Rotation of the palm frame about its normal [rad]: from the index finger's ray to its y axis."""
 
 _MAP: Final = {
     "thumb_base2cmc": ("thumb", 1, "z", -1.0),
@@ -429,7 +429,7 @@ gain."""
 
 
 class PublishedAngles:
-    """Joint angles by the paper's authors, the start of their hybrid baseline.
+    """Joint-angle map of the paper's authors, which gives the start of their hybrid baseline.
 
     Each finger is a chain of frames from the wrist, with y axes along the bones and x axes as close
     as possible to those of the parent. A joint follows one Euler angle of one frame. The authors

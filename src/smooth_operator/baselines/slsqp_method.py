@@ -161,7 +161,7 @@ class SlsqpMethod(Method):
     def step(
         self, state: SlsqpMethodState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SlsqpMethodState, MethodOutput]:
-        """One frame on the host; not traceable."""
+        """Computes one frame on the host; not traceable."""
         return self.solve(state, self.prepare(state, aligned, ticks))
 
     @cached_property

@@ -34,7 +34,7 @@ _POSES = 4000
 _MANY = 2000
 """Number of candidates above which a quarter of the poses is used."""
 _SLACK = 0.004
-"""Distance [m]; pairs that come no nearer in any of the random poses are left out."""
+"""Distance [m]; pairs that are never closer than this in random poses are left out."""
 MOST: Final = 128
 """Largest number of pairs; each costs time in every frame, and more in compiling. The built-in
 hands have 22 to 111; a vendor's model with ten boxes to a link has ten thousand candidates."""
@@ -121,9 +121,9 @@ def hand_capsules(hand: Hand) -> list[Capsule]:
 def parts_apart(hand: Hand) -> CapsulePairs:
     """All pairs of a hand's capsules whose overlap is a self-collision.
 
-    They are on two fingers, or on a finger and the palm. Left out are parts that are joined, pairs
-    that the model excludes from collision, and shapes that overlap in the neutral pose, such as
-    those around a knuckle.
+    They are on two fingers, or on a finger and the palm. The pairs do not include joined parts,
+    pairs that the model excludes from collision, and shapes that overlap in the neutral pose, such
+    as those around a knuckle.
     """
     capsules = hand_capsules(hand)
     pairs = candidate_pairs(hand, capsules)
@@ -171,8 +171,8 @@ def candidate_pairs(hand: Hand, capsules: list[Capsule]) -> Int[np.ndarray, "P 2
 def capsule_pairs(hand: Hand) -> CapsulePairs:
     """The pairs of ``parts_apart`` that random poses bring together.
 
-    Of more than ``MOST``, those stay that are in most random poses the nearest pair of their two
-    links, at least one for any two links that meet.
+    If there are more than ``MOST``, the pairs that are most often the nearest of their two links
+    are kept, and at least one pair for any two links that meet.
     """
     every = parts_apart(hand)
     return chosen_pairs(hand, list(every.capsules), every.pairs[_meeting(hand, every)])
@@ -181,7 +181,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
 def chosen_pairs(
     hand: Hand, capsules: list[Capsule], pairs: Int[np.ndarray, "P 2"]
 ) -> CapsulePairs:
-    """Some pairs, with the capsules of which they are made."""
+    """A selection of the pairs, with only the capsules that they contain."""
     used, pairs = np.unique(pairs, return_inverse=True)
     pairs = pairs.reshape(-1, 2)
     chosen = tuple(capsules[c] for c in used)
@@ -197,7 +197,7 @@ def segments_apart(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind, AnyKind]:
     """(..., 3) vector between the nearest points of two line segments of (..., 3) ends, from the
-    second to the first, and the (...) shares of their lengths at which these points are, 0 to 1;
+    second to the first, and the (...) fractions of their lengths, 0 to 1, where these points lie;
     NumPy or JAX. Parallel segments have many nearest points; these are two.
 
     Source: Ericson, "Real-Time Collision Detection" (2005), 5.1.9, without branches.

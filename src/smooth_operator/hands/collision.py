@@ -15,7 +15,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 
 PALM: Final = -1
-"""Value of ``owners`` for the palm and all else that belongs to no finger."""
+"""Value of ``owners`` for the palm and everything else that belongs to no finger."""
 _FLAT: Final = 1.5  # width over thickness from which a mesh is a row of capsules
 _APART: Final = 0.006  # distance of a thin plate's rods, between which no finger fits [m]
 _SLENDER: Final = 0.02  # largest radius of a cylinder that is one capsule [m]
@@ -40,7 +40,7 @@ def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
 
 
 def lacking_parts(hand: Hand) -> set[int]:
-    """Parts that lost shapes; all parts of a hand without any colliding shape."""
+    """Parts of a hand that lost shapes, or all parts if the hand has no colliding shape."""
     model = hand.model
     part = np.asarray(model.body_weldid)
     if solid_shapes(hand).any():
@@ -98,9 +98,9 @@ class Capsule:
 def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
     """Capsules that fill a shape from within.
 
-    A capsule or a sphere is itself, and a slender cylinder or rod of a mesh is one capsule. A wide
-    cylinder is a ring of capsules around a core. A box, or a mesh that is flat, is a row of
-    parallel capsules as thick as the part is in each strip.
+    A capsule or a sphere stays as it is; a slender cylinder or a rod-shaped mesh becomes one
+    capsule. A wide cylinder becomes a ring of capsules around a core. A box or a flat mesh becomes
+    a row of parallel capsules, each as thick as the part is at that place.
     """
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
     matrix = np.empty(9)
@@ -145,7 +145,7 @@ def _cylinder_rods(radius: float, half: float) -> list[tuple[np.ndarray, float, 
 
 
 def strip_shifts(thick: float, wide: float) -> Float[np.ndarray, " n"]:
-    """Middles of parallel rods across a flat part, by half its thickness and half its width [m]."""
+    """Middles of parallel rods across a flat part, from half its thickness and width [m]."""
     spread = wide - thick
     if spread <= 0.1 * thick:
         return np.zeros(1)

@@ -41,7 +41,7 @@ class PointMotion(NamedTuple):
     origin_speeds: Float[Array, "J 3"]
 
     def along(self, points: Float[Array, "R 3"], directions: Float[Array, "R 3"]) -> Array:
-        """(R, J) velocity along a direction of a point that each joint carries [m/rad]."""
+        """(R, J) velocity of a point along a direction, for each joint that moves it [m/rad]."""
         wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
         screws = jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1)
         # a sum: a matrix product would cost a call of XLA's library
@@ -141,8 +141,8 @@ class PointKinematics:
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
 
     def moments(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
-        """Moments p g^T and g of each point, from which ``derivatives`` follow, of a gradient with
-        respect to the points that is taken as constant."""
+        """Moments p g^T and g of each point p, as input of ``derivatives``. The gradient g with
+        respect to the points counts as constant."""
         moments = (motion.points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
         return jnp.concatenate([moments, gradient], axis=1)
 
@@ -182,8 +182,8 @@ def before_curves(
     slope: Float[Array, " J"],
     curvature: Float[Array, "J J"],
 ) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
-    """First and second derivatives by A q + b of the hand's transmission, from those by the
-    positions of some joints: the chain rule of p. They are the same for a hand without curves."""
+    """Derivatives with respect to A q + b (see ``Transmission``), from those with respect to the
+    positions of some joints, by the chain rule. Without curves, they are the same."""
     if not hand.transmission.curves:
         return slope, curvature
     linear, at = _linear(hand, q), np.array(joints)
@@ -194,7 +194,7 @@ def before_curves(
 def joint_motion(
     hand: Hand, q: Float[Array, " m"]
 ) -> tuple[Float[Array, " n"], Float[Array, "n m"]]:
-    """Positions of all joints [rad] and their derivatives by the actuated ones; traceable."""
+    """Positions of all joints [rad], and derivatives by the actuated joints; traceable."""
     transmission = hand.transmission
     matrix, offset = (
         jnp.asarray(part, q.dtype) for part in (transmission.matrix, transmission.offset)

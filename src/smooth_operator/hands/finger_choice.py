@@ -11,9 +11,9 @@ from smooth_operator.landmarks import FINGERS
 
 
 def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
-    """Description of the same hand with some of its fingers; other joints stay at neutral.
+    """Returns a hand's description with some of its fingers; other joints stay at neutral.
 
-    The alignment keeps its landmarks if all of them remain. Else it uses the thumb and the first
+    The alignment keeps its landmarks if all remain. Otherwise it uses the thumb and the first
     and last of the other fingers, or, with two fingers, these and the wrist.
 
     Args:
@@ -21,7 +21,7 @@ def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
 
     Raises:
         UnknownNameError: the hand, or a human, has no such finger.
-        HandModelError: fewer than two fingers, no thumb, or one human finger for two.
+        HandModelError: fewer than two fingers, no thumb, or one human finger drives two.
     """
     choice = dict(fingers) if isinstance(fingers, Mapping) else {name: name for name in fingers}
     own = {finger.name: finger for finger in spec.fingers}

@@ -1,4 +1,4 @@
-"""Circles of a hand's fingertips about its joints: which joints bend and which spread a finger."""
+"""Finds the joints that bend or spread a finger, from circles of its tip about the joints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from smooth_operator.hands.hand import Hand
 
 SHORTER: Final = 1e-3
-"""A finger counts as shorter than another pose's if it is by this length [m]."""
+"""Least difference by which a finger counts as shorter than in another pose [m]."""
 
 _MOVES: Final = 1e-3  # least way of a fingertip by a joint of its finger [m]
 _PARALLEL: Final = 0.9  # cosine between the axes of two joints
@@ -25,8 +25,8 @@ class Bend(NamedTuple):
         finger: the finger's row among the hand's.
         joint: number of the joint.
         longest: joint position in which the finger is longest [rad].
-        length: its length at the limit next to that, from the knuckle [m]; other joints as in the
-            straight hand.
+        length: the finger's length from the knuckle at the limit next to ``longest`` [m]; other
+            joints as in the straight hand.
         centre: (3,) the knuckle, from the wrist [m].
     """
 
@@ -39,7 +39,7 @@ class Bend(NamedTuple):
 
 @lru_cache(maxsize=8)
 def bends_past_straight(hand: Hand) -> list[Bend]:
-    """The joints that bend a finger past straight, by over a millimetre of its length."""
+    """Joints that bend a finger past straight, which shortens it by more than a millimetre."""
     bends = []
     for f, (name, circles) in enumerate(zip(hand.fingers, _circles(hand), strict=True)):
         parallel = [one for one in circles if abs(one.axis @ circles[-1].axis) > _PARALLEL]

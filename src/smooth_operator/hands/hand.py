@@ -53,7 +53,7 @@ class Hand:
         joint_names: (n,) names of all joints below the palm, in the model's order.
         actuated: (m,) indices of the commanded joints in ``joint_names``, in the model's order.
         couplings: joints that follow another joint of the hand.
-        limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
+        limits: (m, 2) limits of the actuated joints [rad], within which coupled joints keep theirs.
         neutral: (m,) neutral pose of the actuated joints [rad].
         tree: kinematics of the hand's landmarks in the palm frame.
         transmission: positions of all joints as a function of the actuated ones.
@@ -134,10 +134,10 @@ class Hand:
 
     @cached_property
     def straight_pose(self) -> StraightPose:
-        """The pose in which all fingers reach furthest from their bases, nearest to neutral.
+        """The pose nearest to neutral in which all fingers reach furthest from their bases.
 
-        ``_ROUNDS`` coordinate searches over the joints' ranges. A joint that does not extend the
-        reach, such as a spread, or moves a knuckle (``knuckle_joints``) stays at neutral.
+        It is found by ``_ROUNDS`` coordinate searches over the joints' ranges. A joint that does
+        not extend the reach (a spread) or moves a knuckle (``knuckle_joints``) stays at neutral.
         """
         q = self.neutral.copy()
         extending = np.flatnonzero(~knuckle_joints(self))
@@ -177,7 +177,7 @@ class Hand:
         return self.transmission.positions(q)
 
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
-        """The same for m arrays of a common shape (batch last), inside a compiled program."""
+        """``full_configuration`` of m arrays of one shape (batch last), in a compiled program."""
         return self.transmission.rows(q)
 
     def landmark_positions(self, q: ArrayLike) -> Float[np.ndarray, "*batch k 3"]:
@@ -201,7 +201,7 @@ class Hand:
 
 
 def load_hand_spec(spec: HandSpec) -> Hand:
-    """Load the hand of a description.
+    """Loads a hand from its description.
 
     Raises:
         HandModelError: the model can't be used, or the description does not match it.
@@ -367,7 +367,7 @@ def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
 
 
 def own_bodies(model: mujoco.MjModel, palm: int) -> Bool[np.ndarray, " nbody"]:
-    """(nbody,) mask of the hand's bodies: the palm, all that hang from it, and its base.
+    """(nbody,) mask of the hand's bodies: the palm, all bodies below it, and its base.
 
     The base consists of the bodies to which the palm is fixed without a joint, and of bodies fixed
     to these that carry no joint; fingers of a second hand on the same base are left out.
@@ -416,10 +416,10 @@ class StraightPose(NamedTuple):
 
 
 def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
-    """(m,) mask of the actuated joints that move the knuckle of a long finger, not the finger.
+    """(m,) mask of the actuated joints that move the knuckle of a long finger itself.
 
     They lie between the part that carries the finger's base landmark, often the palm, and the joint
-    whose axis passes nearest to it: joints of metacarpals, and of spreads behind the knuckle.
+    whose axis passes nearest to it: metacarpal joints, and spread joints behind the knuckle.
     """
     q, tree, data = np.clip(0.0, *hand.limits.T), hand.tree, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(q))

@@ -8,8 +8,8 @@ one loop of vector instructions, on a CPU as on a GPU.
 
 The constants between joints are put in the form of Denavit and Hartenberg: every joint turns about
 its own z axis, and the rotation between two joints is factored Rz(a) Rx(b) Rz(c), whose z parts are
-added to the joint angles on either side. What stays is Rx(b), with four products instead of nine,
-and none where axes are parallel, as in a finger.
+added to the joint angles on either side. What remains is Rx(b), with four products instead of
+nine, and none where axes are parallel, as in a finger.
 """
 
 from __future__ import annotations

@@ -189,7 +189,7 @@ def _name_all(spec: mujoco.MjSpec) -> None:
 
 
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
-    """The model that ``load_model`` compiles, to be edited further, perhaps without its meshes.
+    """The model that ``load_model`` compiles, in editable form, possibly without its meshes.
 
     Raises:
         HandModelError: MuJoCo can't compile it.
@@ -246,7 +246,7 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
 def merged_couplings(
     declared: tuple[Coupling, ...], given: tuple[Coupling, ...]
 ) -> tuple[Coupling, ...]:
-    """Couplings of a model file, with those of a description in place of the same joints'."""
+    """Couplings of a model file, except where those of a description replace them."""
     joints = {coupling.joint for coupling in given}
     return (*(coupling for coupling in declared if coupling.joint not in joints), *given)
 
@@ -277,9 +277,9 @@ def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
 def shared_range(
     curve: Callable[[float], float], own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
 ) -> float:
-    """Overlap of the ranges of a coupled joint, position ``curve(q)`` at q of its leader, and of
-    the leader [rad], over the smaller range: at most 1; negative if the ranges do not meet, 1 if
-    one is a point inside the other."""
+    """Overlap of a coupled joint's own range [rad] with the range of ``curve`` over that of its
+    leader, divided by the smaller range: at most 1; negative if the ranges do not meet, 1 if one
+    is a point inside the other."""
     reached = [curve(float(q)) for q in np.linspace(leader[0], leader[1], _SAMPLES)]
     led = np.array([min(reached), max(reached)])
     overlap = min(own[1], led[1]) - max(own[0], led[0])

@@ -1,7 +1,7 @@
 """Reader of robot model files (MJCF, URDF) and of the names of their meshes and textures.
 
-ROS packages name meshes ``package://NAME/meshes/link.stl``, exporters by paths of the machine they
-ran on. This module resolves the names, and it bounds the size to which a small file can expand
+ROS packages name meshes ``package://NAME/meshes/link.stl``; exporters write paths of the machine
+they ran on. This module resolves the names, and it bounds the size to which a small file can expand
 before MuJoCo, which can't be interrupted, reads it.
 """
 
@@ -67,10 +67,10 @@ class ModelFiles:
         root: root element of the model file.
         documents: the model file, and the files that it includes or attaches.
         assets: name of a mesh, texture or terrain in the model -> its file, if that exists.
-        attaches: True if the model attaches others, whose names count from their own folders.
+        attaches: True if the model attaches others, whose names start at their own folders.
         pointers: names whose file is a pointer that Git LFS has not replaced by the content.
         inertias: links of a URDF whose inertia MuJoCo refuses; ``root`` is without them.
-        changed: True if ``root`` is not what the file has.
+        changed: True if ``root`` differs from the content of the file.
     """
 
     root: ElementTree.Element
@@ -84,7 +84,7 @@ class ModelFiles:
 
 def model_path(path: Path) -> Path:
     """The absolute path of a model file, without ``..``. Links to its folder are followed, as the
-    system does at a ``..``; the file keeps its own name, by which it lies beside its meshes.
+    system does for ``..``. A link to the file is not, because its meshes lie beside the link.
 
     Raises:
         HandModelError: the path is not UTF-8, which MuJoCo and spec files need.
@@ -103,8 +103,8 @@ def read_model_files(path: Path) -> ModelFiles:
     """Read a model file, MJCF or URDF, and find the files that it names.
 
     Raises:
-        HandModelError: it is no such file, its path is not UTF-8, it names a pipe or a device, or
-            it expands to more than ``MOST_ELEMENTS`` or ``MOST_NAMES``.
+        HandModelError: there is no such file, its path is not UTF-8, it names a pipe or a device,
+            or it expands to more than ``MOST_ELEMENTS`` or ``MOST_NAMES``.
     """
     reader = _Reader(model_path(path))
     for document in reader.pending:  # grows during the loop
@@ -324,7 +324,7 @@ class _Reader:
 
 
 def is_pointer(path: Path) -> bool:
-    """True if a file is a pointer of Git LFS, as a clone without git-lfs has it."""
+    """True if a file is a Git LFS pointer, as in a clone made without git-lfs."""
     try:
         with path.open("rb") as file:
             return file.read(len(_LFS)) == _LFS
@@ -366,7 +366,7 @@ def read_model_xml(path: Path) -> ElementTree.Element:
     """The root element of a model file.
 
     Raises:
-        HandModelError: there is no such file, it can't be read, or it is no MJCF or URDF.
+        HandModelError: there is no such file, it can't be read, or it is not MJCF or URDF.
     """
     if not is_file(path):
         raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
@@ -411,7 +411,7 @@ def decode_xml(data: bytes, path: Path) -> str:
     """The text of an XML file without its declaration, by the encoding that it declares.
 
     Raises:
-        HandModelError: the encoding is unknown, or the bytes are not of it; it names the path.
+        HandModelError: the encoding is unknown, or does not fit the bytes.
     """
     declared = _DECLARED.match(data)
     encoding = declared.group(1).decode("ascii") if declared else "utf-8"

@@ -1,4 +1,4 @@
-"""Meshes of a model: as many as can be used, and which links are without their shapes."""
+"""Compiles a model with as many of its meshes as possible, and names links without shapes."""
 
 from __future__ import annotations
 

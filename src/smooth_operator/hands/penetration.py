@@ -1,4 +1,4 @@
-"""Self-penetration of a hand: its depth in poses, and the links that are in each other."""
+"""Self-penetration of a hand: its depth in each pose, and the links that penetrate each other."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
 def crowded_links(
     hand: Hand, poses: Float[np.ndarray, "T m"], depth: float
 ) -> dict[tuple[str, str], float]:
-    """Two links -> share of poses in which they are deeper in each other than a depth.
+    """Maps pairs of links to the share of poses in which they penetrate deeper than a depth.
 
     Args:
         poses: (T, m) positions of the actuated joints [rad].
         depth: least overlap that counts [m].
 
     Returns:
-        The links that overlap in any of the poses, those with the largest share first.
+        The pairs that overlap in any of the poses, those with the largest share first.
     """
     model, apart = hand.model, parts_apart(hand)
     names = [str(model.body(c.body).name) for c in apart.capsules]

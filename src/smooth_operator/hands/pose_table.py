@@ -1,4 +1,4 @@
-"""Table of random poses of a hand by their fingertips: starts for a descent without a good start.
+"""Table of random poses of a hand, from which a descent starts if it has no good start.
 
 For each finger, the table gives the pose whose fingertip is nearest to a target. The result does
 not depend on earlier frames, and one of many random poses is in the right basin.
@@ -50,7 +50,7 @@ class PoseTable:
         """(m,) pose of the fingers nearest to (F, 3) targets [rad], and (F,) their distances [m].
 
         Traceable. Each finger comes from the pose of the table whose fingertip is nearest to its
-        target. A joint of two fingers comes from the first; a joint of no finger is neutral.
+        target. A joint of two fingers comes from the first; a joint of no finger stays neutral.
         """
         poses, tips = (jnp.asarray(part, places.dtype) for part in self._table)
         off = tips - places[:, None]

@@ -31,7 +31,7 @@ SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
 def user_hands_folder() -> Path:
     """Folder of the user's spec files; it need not exist.
 
-    ``SWITCH``, or ``hands`` in this program's folder among the user's settings:
+    It is ``SWITCH`` if that is set, otherwise ``hands`` in the program's settings folder:
     ``~/.config/smooth-operator`` (or under ``XDG_CONFIG_HOME``) on Linux, ``~/Library/Application
     Support/smooth-operator`` on macOS, ``%APPDATA%\\smooth-operator`` on Windows.
     """
@@ -79,7 +79,7 @@ class HandEntry:
 
     @property
     def default_side(self) -> Side:
-        """Side without another request: the right one, or the only one with a spec file."""
+        """Side that is loaded by default: right, or the only side with a spec file."""
         return "right" if "right" in self.files else "left"
 
     @property
@@ -114,7 +114,7 @@ class HandEntry:
 def known_hands() -> dict[str, HandEntry]:
     """All hands by name: the built-in ones, those of plugins, the user's own.
 
-    The user's folder is read at each call. A hand of the user with the name of another is left out;
+    The user's folder is read at each call. A user's hand with the name of another hand is left out;
     ``load_hand`` refuses such a name. A hand of a plugin that can't be loaded is left out, with a
     note on standard error.
     """
@@ -137,7 +137,7 @@ def find_hand(name: str) -> HandEntry:
 
     Raises:
         UnknownNameError: there is no hand of that name.
-        HandModelError: a file of the user has the name of another hand; it is the path of a model.
+        HandModelError: a user's file has the name of another hand, or ``name`` is a model's path.
         ConfigError: the plugin that offers it can't be loaded.
     """
     own = find_specs(user_hands_folder()).get(name)
@@ -166,8 +166,8 @@ def load_hand(
 
     Args:
         hand: name of a hand that is built in, of a plugin or in the user's folder, or
-            ``package.module:attribute``; path of a spec file (a text that ends in ``.toml``); or a
-            description.
+            ``package.module:attribute``; path of a spec file (a string that ends in ``.toml``);
+            or a description.
         side: ``right`` or ``left``; by default ``default_side``. A spec file of the other side is
             mirrored; a description keeps its side.
         fingers: choice of driven fingers and of the human fingers that drive them; see
@@ -200,7 +200,7 @@ def default_side(hand: str | Path | HandSpec) -> Side:
         hand: as for ``load_hand``.
 
     Returns:
-        for a name ``right``, or the only side with a spec file; else the side of the description.
+        for a name, ``right`` or the only side with a spec file; otherwise the description's side.
 
     Raises:
         UnknownNameError: there is no hand of that name.
@@ -250,13 +250,13 @@ def _described(name: str, place: object) -> HandEntry:
 
 
 def origin(name: str) -> str:
-    """Owner of a hand of the registry, for messages: ``a built-in hand``."""
+    """Where a hand of the registry comes from, for messages, such as ``a built-in hand``."""
     owner = HANDS[name].distribution
     return f"a hand of {owner}" if owner else "a built-in hand"
 
 
 def shadowing(name: str, file: Path) -> HandModelError:
-    """Error for a file of the user with the name of another hand."""
+    """Error for a user's file that has the name of another hand."""
     return HandModelError(
         f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another hand of "
         "that name; choose a different name, in the file and for the file"

@@ -76,7 +76,7 @@ class FingerSpec:
 class Coupling:
     """A joint that follows another by a polynomial, q[joint] = p(q[follows]) in radians.
 
-    A line is enough for gears and most tendons; bars need more.
+    A straight line is enough for gears and most tendons; linkages of bars need higher degrees.
 
     Attributes:
         joint: the joint that follows.
@@ -85,7 +85,7 @@ class Coupling:
         offset: constant coefficient.
         higher: coefficients of the square, cube and fourth power; empty for a line. MuJoCo's
             ``polycoef`` has the same highest degree.
-        turned: True if the file has the other sign, which the joints' limits make impossible.
+        turned: True if the sign was changed, since the joints' limits rule out that of the file.
         error: largest error of a polynomial that was fitted to a closed loop [rad].
     """
 
@@ -172,8 +172,8 @@ class HandSpec:
         palm: body whose frame is the palm frame.
         wrist: counterpart of the human wrist, fixed to the palm.
         fingers: two to five fingers, thumb first.
-        align: three or more landmarks that fix the alignment of human hand to palm: names of
-            fingers, for their bases, or ``wrist``. The paper's authors use thumb, index and pinky;
+        align: three or more landmarks that fix the alignment of human hand to palm: a finger's
+            name means its base; or ``wrist``. The paper's authors use thumb, index and pinky;
             a hand of two fingers needs the wrist.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for other joints.
         mirror: True if the file holds the other side and is to be mirrored on loading.
@@ -182,9 +182,9 @@ class HandSpec:
         joint_map: maps from human joint angles to joints, for methods that use them. Other joints
             get a map by measuring the hand, which needs all four points of their finger.
         torque: torque limit of the motors [N m] by their maker: one number for all joints, or
-            joint name -> torque; unknown for other joints, and with None for all.
-        couplings: joints that follow another one, in place of what the model file says of them.
-        source: source of the figures, as a text.
+            joint name -> torque; unknown for the other joints. None if all are unknown.
+        couplings: joints that follow another one; they replace the model file's couplings.
+        source: where the numbers come from, as free text.
     """
 
     name: str
@@ -254,4 +254,4 @@ class HandSpec:
 
 
 FingerChoice: TypeAlias = Mapping[str, str] | Sequence[str]
-"""Robot finger -> human finger that drives it; or names of fingers that drive themselves."""
+"""Robot finger -> human finger that drives it; or names of fingers driven by their own."""

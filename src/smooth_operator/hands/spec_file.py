@@ -5,7 +5,7 @@
     format = 1
     name = "pincer"
     side = "right"
-    source = "measured in our lab"      # optional: source of the figures, as a text
+    source = "measured in our lab"      # optional: where the numbers come from
     model = "pincer.xml"                # MJCF or URDF, relative to this file
     mirror = false                      # optional: the model is the other hand's
     gripper = false                     # optional: two jaws, which either human hand drives
@@ -79,10 +79,10 @@ def read_hand_spec(path: str | Path) -> HandSpec:
     """Read a spec file.
 
     Args:
-        path: the file; a relative ``model`` in it counts from its folder.
+        path: the file; a relative ``model`` path in it starts at the file's folder.
 
     Raises:
-        HandModelError: there is no such file, it is no TOML, or it does not describe a hand; the
+        HandModelError: there is no such file, it is not TOML, or it does not describe a hand; the
             message names the entry and the expected value.
     """
     path = Path(path)
@@ -92,7 +92,7 @@ def read_hand_spec(path: str | Path) -> HandSpec:
 
 
 def check_hand_name(name: str) -> str:
-    """The name, if it is a valid name of a hand.
+    """Returns a hand's name if it is valid.
 
     Raises:
         HandModelError: it has other characters than letters, digits, ``_`` and ``-``, or more than

@@ -46,7 +46,7 @@ class StandIns:
 
     Attributes:
         capsules: the estimated capsules; their ``geom`` is -1.
-        replaced: parts (see ``parts_above``) whose own shapes are not to be used.
+        replaced: parts (see ``parts_above``) whose own shapes must not be used.
     """
 
     capsules: tuple[Capsule, ...] = ()
@@ -78,7 +78,7 @@ def stand_ins(hand: Hand) -> StandIns:
 
     These are the links that lost shapes because mesh files can't be read and whose other shapes
     leave the bone bare. If at least half of the fingers have such a link, stand-ins replace the
-    shapes of all finger links: estimates of one kind measure better than a mix
+    shapes of all finger links: estimates of one kind give better results than a mix
     (docs/how-to/hands.md). A hand without any colliding shape gets stand-ins for the palm and for
     all links from it to a fingertip.
     """
@@ -158,7 +158,7 @@ def _uncovered(
 
 
 def finger_bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
-    """Finger -> its bones, base to tip, each in one piece for each body that carries a part of it.
+    """Maps each finger to its bones, base to tip, cut into one piece per body that carries a part.
 
     In the world, in the pose of ``data`` [m]; ``data`` needs its kinematics.
 

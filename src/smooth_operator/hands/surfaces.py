@@ -33,7 +33,7 @@ def tip_surface_distances(
     """Distance between the surface of the thumb's last link and those of the other fingers.
 
     MuJoCo measures it between the colliding shapes of the model (``mj_geomDistance``; a mesh is
-    its convex hull), so it does not depend on what a method takes for the hand. Where a last link
+    its convex hull), so it does not depend on a method's model of the hand. Where a last link
     lost its shapes, the capsules that stand in for it are measured instead.
 
     Args:

@@ -5,9 +5,9 @@
     q_all = p(A q + b)
 
 Most joints need the linear part only: an actuated joint has a row of the identity in A, and a joint
-that follows it by a gear its ratio. p is a polynomial for each joint. It is the identity except for
-a joint that follows its leader by a polynomial, such as one in a four-bar linkage; the row of A
-then selects the leader.
+that follows it through a gear has the gear ratio. p is a polynomial for each joint. It is the
+identity except for a joint that follows its leader by a polynomial, such as one in a four-bar
+linkage; the row of A then selects the leader.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from smooth_operator.hands.spec import Coupling
 _FAR = 1e3  # stands for an infinite limit [rad]
 
 Coefficients: TypeAlias = tuple[float, ...]
-"""Of a polynomial, constant first."""
+"""Coefficients of a polynomial, constant first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Transmission:
     """Positions of all n joints as a function of the m actuated ones: q_all = p(A q + b).
 
     Attributes:
-        matrix: (n, m) A. An entry that is not zero tells that the actuated joint moves the joint.
+        matrix: (n, m) A. A nonzero entry means that the actuated joint moves the joint.
         offset: (n,) b [rad].
         curves: index of a joint that follows by a polynomial -> the polynomial; p is the identity
             for other joints.
@@ -55,7 +55,7 @@ class Transmission:
         return self.curved(linear)
 
     def slopes(self, q: ArrayLike) -> Float[np.ndarray, "*batch n m"]:
-        """(..., n, m) derivatives of all joint positions by those of the actuated joints.
+        """(..., n, m) derivatives of all joint positions with respect to the actuated ones.
 
         Without curves, this is the constant (n, m) matrix.
         """

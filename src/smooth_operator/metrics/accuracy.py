@@ -17,7 +17,7 @@ _LENGTH_FLOOR: Final = 1e-9  # [m]
 def cosines(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> Float[np.ndarray, "T K"]:
-    """(T, K) cosine similarity of each keyvector [m], v_H . v_R / (|v_H| |v_R|); towards 1, NaN
+    """(T, K) cosine similarity of each keyvector [m], v_H . v_R / (|v_H| |v_R|); best at 1, NaN
     where the human vector is unknown.
 
     Source: the paper's accuracy metrics (supplement, sim-to-real analysis).
@@ -29,7 +29,7 @@ def cosines(
 def length_ratios(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> Float[np.ndarray, "T K"]:
-    """(T, K) scale ratio of each keyvector [m], |v_R| / |v_H|; towards 1, NaN where the human
+    """(T, K) scale ratio of each keyvector [m], |v_R| / |v_H|; best at 1, NaN where the human
     vector is unknown.
 
     Source: the paper's accuracy metrics. A very short human vector (a pinch) makes the ratio large,
@@ -42,12 +42,12 @@ def length_ratios(
 def cosine_similarity(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Mean of ``cosines`` over frames and keyvectors; towards 1, None without data."""
+    """Mean of ``cosines`` over frames and keyvectors; best at 1, None without data."""
     return summary.mean(cosines(human, robot))
 
 
 def scale_ratio(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Mean of ``length_ratios`` over frames and keyvectors; towards 1, None without data."""
+    """Mean of ``length_ratios`` over frames and keyvectors; best at 1, None without data."""
     return summary.mean(length_ratios(human, robot))

@@ -33,7 +33,7 @@ def motion_preservation(
     human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
 ) -> float | None:
     """Mean cosine of the steps of the (T, F, 3) wrist to tip vectors [m], human against robot;
-    towards 1. None if the two never move together.
+    best at 1. None if the two never move together.
 
     Source: the paper's consistency metrics. Steps in which either hand rests (``HUMAN_STILL``,
     ``ROBOT_STILL``) have no meaningful direction and are excluded.
@@ -52,7 +52,7 @@ def shake_at_rest(
     """Ratio of the root mean square fingertip steps of robot and human while the human's fingertip
     rests.
 
-    1 means that all of the tracker's shake reaches the robot, 0 none of it; down.
+    1 means that all of the tracker's shake reaches the robot, 0 that none does; lower is better.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
@@ -76,8 +76,8 @@ def shake_at_rest(
 
 
 def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
-    """Mean |p(t+1) + p(t-1) - 2 p(t)|^2 over frames and fingertips [m^2]; down. None for fewer than
-    three frames.
+    """Mean |p(t+1) + p(t-1) - 2 p(t)|^2 over frames and fingertips [m^2]; lower is better.
+    None for fewer than three frames.
 
     Source: the paper's consistency metrics. It grows with the fourth power of the frame's duration:
     compare at one rate only, or use ``fingertip_acceleration``.
@@ -88,8 +88,8 @@ def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
 def fingertip_acceleration(
     tips: Float[np.ndarray, "T F 3"], stamps: Float[np.ndarray, " T"]
 ) -> float | None:
-    """Mean magnitude of fingertip acceleration [m/s^2], by the real stamps [s]; down. None for
-    fewer than three frames.
+    """Mean magnitude of fingertip acceleration [m/s^2], by the real timestamps [s]; lower is
+    better. None for fewer than three frames.
 
     Unlike ``flatness``, it does not depend on the frame rate. It is exact for motion of constant
     acceleration, evenly sampled or not.
@@ -107,8 +107,8 @@ def lag(
 
     The velocity correlation is taken at each whole delay from 0 to ``MAX_LAG_FRAMES``; a parabola
     through the best one and its neighbours refines it, except at either end: a result of exactly
-    ``MAX_LAG_FRAMES`` means "that or more". Frames are turned into time by the median frame
-    duration, so drop-outs blur it.
+    ``MAX_LAG_FRAMES`` means "that or more". Frames are converted to time by the median frame
+    duration, so lost frames make the lag less exact.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
@@ -116,8 +116,8 @@ def lag(
         stamps: (T,) times [s].
 
     Returns:
-        The lag [ms], down, and the Pearson correlation at the best whole delay, towards 1; both
-        None for recordings under ``MIN_LAG_OVERLAP`` + 1 frames and where either hand rests.
+        The lag [ms] (lower is better) and the Pearson correlation at the best whole delay (best at
+        1); both None for fewer than ``MIN_LAG_OVERLAP`` + 1 frames, or if either hand rests.
     """
     vh, vr = np.diff(human, axis=0), np.diff(robot, axis=0)
     steps = len(vh)
@@ -137,11 +137,11 @@ def lag(
 def frozen_share(
     human: Float[np.ndarray, "T F 3"], joint_positions: Float[np.ndarray, "T n"]
 ) -> float | None:
-    """Fraction of the frames with a moving human in which no robot joint moves; down. None if the
-    human never moves.
+    """Fraction of the frames with a moving human in which no robot joint moves; lower is better.
+    None if the human never moves.
 
-    The human moves if any fingertip goes further than ``HUMAN_STILL`` in a frame; the robot is
-    frozen if no joint goes further than ``JOINTS_STILL``.
+    The human moves if any fingertip moves further than ``HUMAN_STILL`` in a frame; the robot is
+    frozen if no joint moves further than ``JOINTS_STILL``.
     """
     moving = (np.linalg.norm(np.diff(human, axis=0), axis=-1) > HUMAN_STILL).any(axis=-1)
     frozen = np.all(np.abs(np.diff(joint_positions, axis=0)) <= JOINTS_STILL, axis=-1)

@@ -16,8 +16,8 @@ LIMIT_TOLERANCE: Final = 1e-6
 
 
 def joint_jitter(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
-    """Mean |q(t+1) + q(t-1) - 2 q(t)| over frames and joints [rad]; down. None for fewer than three
-    frames. Like flatness it depends on the frame rate; ``joint_acceleration`` does not."""
+    """Mean |q(t+1) + q(t-1) - 2 q(t)| over frames and joints [rad]; lower is better. None for fewer
+    than three frames. It depends on the frame rate, unlike ``joint_acceleration``."""
     q = joint_positions
     return summary.mean(np.abs(q[2:] + q[:-2] - 2.0 * q[1:-1]))
 
@@ -25,14 +25,14 @@ def joint_jitter(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
 def joint_acceleration(
     joint_positions: Float[np.ndarray, "T n"], stamps: Float[np.ndarray, " T"]
 ) -> float | None:
-    """Mean magnitude of joint acceleration [rad/s^2], by the real stamps [s]; down. None for fewer
-    than three frames."""
+    """Mean magnitude of joint acceleration [rad/s^2], by the real timestamps [s]; lower is better.
+    None for fewer than three frames."""
     return summary.mean(np.abs(second_derivative(joint_positions, stamps)))
 
 
 def max_joint_step(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
-    """Largest change of any joint from one frame to the next [rad]; down. None for fewer than two
-    frames."""
+    """Largest change of any joint from one frame to the next [rad]; lower is better. None for
+    fewer than two frames."""
     return summary.maximum(np.abs(np.diff(joint_positions, axis=0)))
 
 
@@ -40,8 +40,8 @@ def limit_violation(
     joint_positions: Float[np.ndarray, "T n"], joint_limits: Float[np.ndarray, "n 2"]
 ) -> tuple[float | None, float | None]:
     """Largest excess of commands beyond the (n, 2) joint limits [rad], 0 if all are within, and the
-    share of frames in which some joint is out by more than ``LIMIT_TOLERANCE``; down, and None for
-    an empty run. A limit is NaN or infinite where there is none."""
+    share of frames in which some joint is out by more than ``LIMIT_TOLERANCE``. Lower is better;
+    None for an empty run. A limit is NaN or infinite where there is none."""
     lower, upper = joint_limits.T
     excess = np.fmax(np.fmax(lower - joint_positions, joint_positions - upper), 0.0)
     return summary.maximum(excess), summary.mean((excess > LIMIT_TOLERANCE).any(axis=-1))

@@ -33,7 +33,7 @@ def pinched_frames(tips: Float[np.ndarray, "T F 3"]) -> Bool[np.ndarray, "T f"]:
 
 
 def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Fraction of pinches in which the robot's surfaces touch; towards 1. None with fewer than
+    """Fraction of pinches in which the robot's surfaces touch; best at 1. None with fewer than
     ``LEAST_PINCHED``.
 
     Args:
@@ -43,7 +43,7 @@ def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
 
 
 def deep_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Fraction of pinches in which the surfaces penetrate too deep; towards 0."""
+    """Fraction of pinches in which the surfaces penetrate too deep; best at 0."""
     return _share_below(distances, -DEEP)
 
 

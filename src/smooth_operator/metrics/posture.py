@@ -56,23 +56,23 @@ def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray,
 def robot_extensions(
     fingers: Float[np.ndarray, "T L 4 3"], straight: Float[np.ndarray, " L"]
 ) -> Float[np.ndarray, "T L"]:
-    """Extension of robot fingers, of four points each [m], over the (L,) base to tip of the
-    straight ones [m]."""
+    """Extension of robot fingers with four points each [m]: their base-to-tip distance over the
+    (L,) base-to-tip distance of the straight fingers [m]."""
     return np.asarray(_lengths(fingers) / straight)
 
 
 def extension_error(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean absolute difference of the extensions; down. None without data."""
+    """Mean absolute difference of the extensions; lower is better. None without data."""
     return summary.mean(np.abs(robot - human))
 
 
 def flat_extension_lack(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean missing extension of the robot's fingers while the human hand is flat; down. None if the
-    human hand is never flat.
+    """Mean missing extension of the robot's fingers while the human hand is flat; lower is better.
+    None if the human hand is never flat.
     """
     flat = (human > FLAT).all(axis=-1)  # NaN compares as False
     return summary.mean(np.maximum(human - robot, 0.0)[flat])
@@ -81,8 +81,8 @@ def flat_extension_lack(
 def fist_extension_excess(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean excess extension of the robot's fingers while the human hand is a fist; down. None if
-    the human hand never makes a fist.
+    """Mean excess extension of the robot's fingers while the human hand is a fist; lower is better.
+    None if the human hand never makes a fist.
     """
     fist = (human < FIST).all(axis=-1)
     return summary.mean(np.maximum(robot - human, 0.0)[fist])
@@ -97,7 +97,7 @@ def direction_errors(
 
 
 def curls(fingers: Float[np.ndarray, "T F 4 3"]) -> Float[np.ndarray, "T F"]:
-    """Sum of the angles between neighbouring bones, which are two a finger [degrees].
+    """Sum of the two angles between neighbouring bones of each finger [degrees].
 
     Args:
         fingers: (T, F, 4, 3) points of F fingers, base to tip [m].
@@ -138,7 +138,7 @@ def jumps_per_1000(
     human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"], gains: Float[np.ndarray, " F"]
 ) -> float | None:
     """Number of frames per thousand in which a fingertip jumps (``JUMP``), from (S, F) steps [m]
-    and the fingers' gains; down. None without data."""
+    and the fingers' gains; lower is better. None without data."""
     longest = np.maximum(gains, 1.0) * human
     known = np.isfinite(longest).all(axis=-1)
     return summary.scaled(summary.mean((robot - longest > JUMP).any(axis=-1)[known]), 1e3)
@@ -153,7 +153,7 @@ def step_gains(
 
 
 def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
-    """Fraction of the human's large steps for which the robot's step is less than a third; down."""
+    """Fraction of large human steps that the robot follows by less than a third; best at 0."""
     return summary.mean((gains < STALLED)[np.isfinite(gains)])
 
 
@@ -165,8 +165,8 @@ def settling_times(
     """Settling time of a robot finger after each quick opening of the human's finger.
 
     An opening is a rise of the human's extension from under ``CLOSED`` to over ``OPENED`` in at
-    most ``OPENING_TIME``. The time runs from the frame that is over ``OPENED`` to the first from
-    which the robot's extension stays within ``SETTLED`` of the human's for ``SETTLED_FOR``.
+    most ``OPENING_TIME``. The time runs from the frame that is over ``OPENED`` to the first frame
+    from which the robot's extension stays within ``SETTLED`` of the human's for ``SETTLED_FOR``.
 
     Args:
         human: (T, L) extensions.
@@ -174,8 +174,8 @@ def settling_times(
         stamps: (T,) times [s].
 
     Returns:
-        (n,) of all fingers' openings [s], at most ``LONGEST_SETTLING``; down. Openings too close to
-        the end of the run are excluded.
+        (n,) of all fingers' openings [s], at most ``LONGEST_SETTLING``; lower is better. Openings
+        too close to the end of the run are excluded.
     """
     times = []
     for own, answer in zip(human.T, robot.T, strict=True):

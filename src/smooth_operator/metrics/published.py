@@ -1,4 +1,4 @@
-"""Definitions of the paper's metrics that differ from the sound definitions.
+"""The paper's own definitions of three metrics, where they differ from this package's (``sound``).
 
 - Each frame, the human hand is fitted (rotation, translation, scale) to the robot's *own pose* with
   the wrist, the palm landmarks, and the last joint and the tip of each finger: 14 landmarks on the
@@ -31,14 +31,14 @@ _EPSILON: Final = 1e-8  # [m] or [m^2], as published
 def cosine_similarity(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Median over frames and keyvectors of v_H . v_R / (|v_H| |v_R| + 1e-8); towards 1."""
+    """Median over frames and keyvectors of v_H . v_R / (|v_H| |v_R| + 1e-8); best at 1."""
     return summary.median(_cosines(human, robot))
 
 
 def scale_ratio(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Median over frames and keyvectors of |v_R| / (|v_H| + 1e-8); towards 1."""
+    """Median over frames and keyvectors of |v_R| / (|v_H| + 1e-8); best at 1."""
     length = np.linalg.norm(human, axis=-1)
     return summary.median(np.linalg.norm(robot, axis=-1) / (length + _EPSILON))
 
@@ -46,7 +46,7 @@ def scale_ratio(
 def motion_preservation(
     human_tips: Float[np.ndarray, "T F 3"], robot_tips: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Mean over frames and tips of dp_H . dp_R / (|dp_H| |dp_R| + 1e-8), nothing left out; up."""
+    """Mean over frames and tips of dp_H . dp_R / (|dp_H| |dp_R| + 1e-8), all frames; best at 1."""
     return summary.mean(_cosines(np.diff(human_tips, axis=0), np.diff(robot_tips, axis=0)))
 
 
@@ -69,8 +69,8 @@ def fit_to_robot(
 
     Args:
         human: (T, N, 3) human landmarks in any frame [m], NaN where unknown.
-        robot: (T, N, 3) robot landmarks [m], NaN where there is none.
-        using: indices of the landmarks that the fit may use, of ``fit_landmarks``; None for
+        robot: (T, N, 3) robot landmarks [m], NaN where the robot has none.
+        using: indices of the landmarks that the fit may use, see ``fit_landmarks``; None for
             all.
 
     Returns:

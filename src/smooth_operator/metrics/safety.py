@@ -13,15 +13,15 @@ from smooth_operator.metrics import summary
 COLLISION_DEPTH: Final = 0.002
 """Overlap of two links that counts as a collision [m]: soft tips may touch."""
 WORKSPACE_RADIUS: Final = 0.005
-"""A reachable point this near to a visited fingertip counts as used [m]."""
+"""Distance from a visited fingertip within which a reachable point counts as used [m]."""
 
 
 def self_collision(penetration: Float[np.ndarray, " T"]) -> dict[str, float | None]:
-    """Self-collision over a run; down.
+    """Self-collision over a run; lower is better.
 
     Args:
         penetration: (T,) deepest overlap of two links per frame [m], positive inside; NaN where
-            unknown. Zero or negative (a clearance) is no overlap.
+            unknown. Zero or negative values (a clearance) are not an overlap.
 
     Returns:
         ``share`` of frames deeper than ``COLLISION_DEPTH``, ``mean_depth_mm`` (over all frames,
@@ -41,15 +41,15 @@ def workspace_utilisation(
     reach: Float[np.ndarray, "S F 3"],
     radius: float = WORKSPACE_RADIUS,
 ) -> list[float | None]:
-    """Fraction of each fingertip's reachable set within a radius of a visited point; up.
+    """Fraction of each fingertip's reachable set near a visited point; higher is better.
 
     Source: the paper's efficiency metrics (Monte-Carlo form of the volume ratio). It grows with the
-    recording's length, so compare on one recording only.
+    recording's length, so compare only results on the same recording.
 
     Args:
         tips: (T, F, 3) visited fingertips [m].
         reach: (S, F, 3) fingertips of random poses [m].
-        radius: [m].
+        radius: distance within which a reachable point counts as used [m].
 
     Returns:
         F shares in [0, 1]; None for a finger without data.

@@ -10,7 +10,7 @@ from smooth_operator.types import Status
 
 
 def latency(latency_ms: Float[np.ndarray, " T"]) -> dict[str, float | None]:
-    """Latency per command [ms]; down.
+    """Latency per command [ms]; lower is better.
 
     Args:
         latency_ms: (T,) from landmarks to command [ms]; NaN where it was not measured.
@@ -32,10 +32,10 @@ def status_counts(status: Int[np.ndarray, " T"]) -> dict[str, int]:
     """Number of frames of each ``Status``, by its name in lower case.
 
     Args:
-        status: (T,) values; one that is no known status is counted as ``unknown``.
+        status: (T,) values; a value that is not a known status is counted as ``unknown``.
 
     Returns:
-        Every known name, zeros included; ``unknown`` only where there is one.
+        Every known name, zeros included; ``unknown`` only if such a value occurs.
     """
     counts = {s.name.lower(): int(np.sum(status == s)) for s in Status}
     unknown = len(status) - sum(counts.values())

@@ -433,7 +433,7 @@ def evaluate(
 
     Returns:
         The keys of ``METRICS``, in that order, then those of plugins' metrics and any others of
-        ``extra``. Numbers are finite; what could not be measured (too few frames, an absent input,
+        ``extra``. Numbers are finite; what could not be measured (too few frames, a missing input,
         no pinch) is None.
 
     Raises:

@@ -122,7 +122,7 @@ class Trace:
 
     @property
     def human_tips(self) -> Float[np.ndarray, "T F 3"]:
-        """Human fingertips that the robot answers to [m]."""
+        """Human fingertips that correspond to the robot's fingers [m]."""
         return np.asarray(self.human[:, [TIPS[FINGERS.index(name)] for name in self.fingers]])
 
     @property
@@ -137,7 +137,7 @@ class Trace:
 
     @property
     def human_fingers(self) -> Float[np.ndarray, "T F 4 3"]:
-        """Human landmarks from base to tip of the fingers that the robot answers to [m]."""
+        """Human landmarks from base to tip of the fingers that the robot hand has [m]."""
         return np.asarray(self.human[:, self._chains])
 
     @property

@@ -57,7 +57,7 @@ Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 
 
 def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
-    """``tick_after`` for the frames of recordings, of their (..., T) timestamps [s]."""
+    """Frame times for the program (see ``tick_after``), from (..., T) timestamps [s]."""
     whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
     passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
     ticks = whole[..., :1] + np.cumsum(np.clip(passed, -1, LONGEST_TICKS), axis=-1)
@@ -392,7 +392,7 @@ def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def lane_counts(method: Method, lanes: int | None) -> tuple[int, int]:
-    """Numbers of lanes and of parallel calls that suit the device; None for the usual ``lanes``."""
+    """Returns the numbers of lanes and of parallel calls; for None, those that suit the device."""
     if jax.default_backend() != "cpu":
         return lanes or LANES_GPU, 1
     if method.uneven:

@@ -78,7 +78,7 @@ def program_key(
 
 
 class CompiledProgram:
-    """A function of trees of arrays. It is compiled at its first call, once per shape.
+    """A function of pytrees of arrays that is compiled at its first call with each shape.
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.
@@ -142,7 +142,7 @@ class CompiledProgram:
             try:
                 function = _exported(cache, _file_name(key, signature), function, arguments).call
             except Exception as error:  # a program that can't be exported still runs
-                LOGGER.info("a program can't be kept: %s", error)
+                LOGGER.info("a compiled program can't be stored: %s", error)
         options = _LOOPS_ON_GPU if self._graphs and on_gpu() else None
         run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
         return run, run(*arguments)

@@ -1,4 +1,4 @@
-"""Base class of a cost term of your own that is given by its residuals."""
+"""Base class for your own cost terms that are defined by their residuals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from smooth_operator.retargeting.objective import FrameGoal, PointTerm, Quadrati
 
 
 class LeastSquaresTerm(PointTerm):
-    """Half the sum of squared residuals of some points; the simplest term to write."""
+    """Half the sum of squared residuals of some points; the simplest kind of term to write."""
 
     @abstractmethod
     def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:

@@ -71,7 +71,7 @@ class Method(ABC):
 
     @abstractmethod
     def init(self, seed: int) -> Any:
-        """The state before the first frame: a pytree of arrays, not None at its leaves.
+        """The state before the first frame: a pytree of arrays without None leaves.
 
         Args:
             seed: seed of the random numbers; ignored by methods without any.
@@ -100,13 +100,13 @@ class Method(ABC):
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None for a method without latches."""
+        """(F - 1,) True for fingers latched to the thumb; None for a method without latches."""
         del state
         return None
 
     def pinch_gaps(self, state: Any) -> Float[Array, " P"] | None:
         """(F - 1,) estimated gaps that the tracker leaves between thumb and finger where they touch
-        [palm lengths], 0 while one is not known; None for a method that does not close them."""
+        [palm lengths], 0 while unknown; None for a method that does not close gaps."""
         del state
         return None
 
@@ -150,7 +150,7 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """True if one thread is faster than one per core. Otherwise vectors are widest."""
+        """True if compiled programs run faster on one thread than on one thread per core."""
         return True
 
     @abstractmethod
@@ -162,7 +162,7 @@ class MethodConfig(ABC):
         """
 
     def with_alignment(self: C, **changes: Any) -> C:
-        """These settings with other fields of ``AlignmentConfig``.
+        """Returns these settings with some fields of ``AlignmentConfig`` replaced.
 
         Raises:
             ConfigError: a value is out of range.
@@ -170,7 +170,7 @@ class MethodConfig(ABC):
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
     def with_file(self: C, path: Path) -> C | None:
-        """These settings with a file, such as a trained model; None if the method uses no files."""
+        """Returns these settings with a file such as a trained model; None if they use no file."""
         del path
         return None
 
@@ -188,7 +188,7 @@ class MethodConfig(ABC):
 
 
 class ObjectiveMethodConfig(MethodConfig):
-    """Settings of a method that minimises Eq. (1): those with a field ``objective``."""
+    """Settings of a method that minimises Eq. (1); they have a field ``objective``."""
 
     objective: TermsConfig
     """Targets and weights of Eq. (1)."""

@@ -61,7 +61,7 @@ class FrameGoal(NamedTuple):
         weights: (K,) their weights.
         previous: (m,) last command of the actuated joints [rad].
         velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 without a last command.
-        tips: (F, 3) where fingertips arrive with the human's motion [m]; for the motion term only.
+        tips: (F, 3) fingertips after copying the human's motion [m]; for the motion term only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
         pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
     """
@@ -163,7 +163,7 @@ class Pull(JointTerm):
     """Weight times the squared distance of each joint from a pose.
 
     Attributes:
-        of: goal to weight, or (m,) weights, and (m,) pose [rad].
+        of: function from a goal to a weight (or (m,) weights) and a (m,) pose [rad].
     """
 
     of: Callable[[FrameGoal], tuple[Any, Any]]
@@ -210,7 +210,7 @@ class RobotVectors:
         return matrix
 
     def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
-        """The vectors [m], from the moving points [m]."""
+        """The vectors [m], computed from the moving points [m]."""
         keypoints = self.hand.tree.keypoints
         others = [i for i in self.layout.landmarks if i not in self.moving]
         positions = np.array([keypoints[LANDMARKS[i]].position for i in others]).reshape(-1, 3)
@@ -225,7 +225,7 @@ class RobotVectors:
         return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
 
     def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
-        """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""
+        """(P, 3) derivatives of a cost by the points, from its derivatives by some vectors."""
         incidence = jnp.asarray(self.incidence[which], slopes.dtype)
         return (incidence[:, :, None] * slopes[:, None, :]).sum(axis=0)
 
@@ -253,7 +253,7 @@ class VectorTerm(PointTerm):
     """
 
     part: ClassVar[Literal["all", "wrist", "thumb"]] = "all"
-    """All vectors, or those of the paper's keyvectors from the wrist or from the thumb's tip."""
+    """All vectors, or only the paper's keyvectors from the wrist or from the thumb's tip."""
 
     vectors: RobotVectors
 
@@ -262,7 +262,7 @@ class VectorTerm(PointTerm):
         """The cost of the errors of ``part`` [m], with derivatives; traceable."""
 
     def points(self) -> tuple[str, ...]:
-        """Landmarks that the vectors join and a joint moves."""
+        """Landmarks at the ends of the vectors that a joint moves."""
         return self.vectors.names
 
     @cached_property
@@ -270,7 +270,7 @@ class VectorTerm(PointTerm):
         """The vectors of ``part``.
 
         Raises:
-            ConfigError: if it is of the paper's keyvectors, and the vectors are others.
+            ConfigError: if ``part`` needs the paper's keyvectors, but the vectors are different.
         """
         if self.part == "all":
             return slice(None)
@@ -299,13 +299,13 @@ class Keyvectors(VectorTerm):
     for the penalty l.
 
     Attributes:
-        transition: where smooth-L1 turns from quadratic to linear [m].
+        transition: error at which smooth-L1 changes from quadratic to linear [m].
     """
 
     transition: float
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """lambda_k l(v_R - v_H): the cost of one vector's error, of three components [m]."""
+        """Cost lambda_k l(v_R - v_H) of one vector; the error is given by three components [m]."""
         parts = [smooth_l1(e, self.transition) for e in error]
         return weight * (parts[0] + parts[1] + parts[2])
 
@@ -334,12 +334,12 @@ def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
 
 @dataclass(frozen=True)
 class TermsConfig:
-    """Settings of an objective: those of ``smooth``; ``ObjectiveConfig`` has all of Eq. (1).
+    """Settings of the objective of ``smooth``; ``ObjectiveConfig`` has all settings of Eq. (1).
 
     Attributes:
         targets: the target policy.
         pose_weight: lambda_reg (gamma of the paper's table), pull to the neutral pose.
-        terms: more terms, which are built for the hand.
+        terms: additional terms, which are built for the hand.
     """
 
     targets: TargetPolicy[Any, Any] = field(default_factory=CloseTargets)
@@ -354,19 +354,19 @@ class TermsConfig:
         return Keyvectors(vectors, TRANSITION)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
-        """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""
+        """Second and third term of Eq. (1), for a hand with this neutral pose [rad]."""
         pose = Pull(lambda _: (self.pose_weight, neutral))
         return pose, Pull(lambda goal: (goal.velocity_weight, goal.previous))
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Eq. (1) and more terms, for one hand.
+    """Eq. (1) and additional terms, for one hand.
 
     Attributes:
         hand: the robot hand.
         config: weights of Eq. (1), and the preset's own terms.
-        more: terms that the method adds.
+        more: additional terms of the method.
     """
 
     hand: Hand
@@ -437,7 +437,7 @@ class Objective:
 
     @cached_property
     def kinematics(self) -> PointKinematics:
-        """Kinematics of the points of all terms. A point of several terms may occur again."""
+        """Kinematics of the points of all terms. A point of several terms may occur twice."""
         groups = dict.fromkeys(term.points() for term in self.point_terms)
         return PointKinematics(self.tree, tuple(name for group in groups for name in group))
 

@@ -1,4 +1,4 @@
-"""Directions of a palm, and of a human palm on a robot's."""
+"""Axes of a palm, and axes of a human palm that is aligned to a robot's palm."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def palm_tilt_deg(hand: Hand) -> float:
     """Angle by which a flat human hand, once aligned, bends the long fingers at their bases [deg].
 
     Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
-    robot hand (``open_rays``) then point in different directions. Above 0 a flat human hand asks
-    the robot's fingers to bend towards the palm, below 0 to the back of the hand.
+    robot hand (``open_rays``) then point in different directions. If the angle is positive, a flat
+    human hand bends the robot's fingers towards the palm; if negative, towards the back.
     """
     axes = human_palm_axes(hand)
     rays = open_rays(hand)[1:]
@@ -79,7 +79,7 @@ def palm_tilt_deg(hand: Hand) -> float:
 
 
 def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
-    """(F, 3) vectors from base to tip of the open hand, palm frame [m].
+    """(F, 3) vectors from base to tip of each finger of the open hand, palm frame [m].
 
     Its joints are at zero, or as close to zero as their limits allow, because vendors define the
     open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.

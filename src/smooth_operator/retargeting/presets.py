@@ -30,7 +30,7 @@ class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
         except TypeError as error:  # a class whose fields lack defaults
             raise ConfigError(f"{refusal}a class that needs arguments ({error})") from error
         if not presets:
-            raise ConfigError(f"method {method!r} has no preset")
+            raise ConfigError(f"method {method!r} has no presets")
         for config in presets.values():
             if not isinstance(config, MethodConfig):
                 raise ConfigError(f"{refusal}{brief(config)}")
@@ -89,9 +89,9 @@ def default_preset(method: str) -> str:
 def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
     """Configuration of a method by preset name; None gives the method's default preset.
 
-    The file of a trained model (geort) may replace the preset, and so may, for any method, a preset
-    file (``smooth_operator.formats.setting_paths``). ``published`` is a preset of every method that
-    the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr is its ``paper``.
+    Instead of a preset name, any method accepts the path of a preset file
+    (``smooth_operator.formats.setting_paths``), and geort the path of a trained model.
+    ``published`` is a preset of keyvector, hybrid, dexpilot and ako; for sbr it means ``paper``.
 
     The method may be ``package.module:attribute``: a configuration, its class, or presets by name.
 

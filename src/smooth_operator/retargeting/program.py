@@ -340,8 +340,8 @@ class FrameClock(NamedTuple):
         """Time of a frame; traceable.
 
         Args:
-            passed: ticks since the last one, in microseconds modulo 2^32.
-            frames: number of frames before it.
+            passed: ticks since the last frame, in microseconds modulo 2^32.
+            frames: number of frames before this one.
         """
         elapsed = passed.astype(jnp.int32) * 1e-6
         # a timestamp that goes back belongs to another recording

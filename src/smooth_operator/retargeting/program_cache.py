@@ -1,4 +1,4 @@
-"""Folder of this user for traced programs, so that a start is faster.
+"""Folder in which this user's traced programs are stored, so that later starts are faster.
 
 Any number of processes can use it. No other user may be able to write to it (``own_files``).
 Figures: docs/reference/benchmarks.md, *Start*.
@@ -106,7 +106,7 @@ def _digest(data: bytes) -> bytes:
 
 
 def program_cache() -> ProgramCache | None:
-    """The cache of this user; None if it is off (``SWITCH``) or has no safe folder."""
+    """The cache of this user; None if it is disabled (``SWITCH``) or has no safe folder."""
     folder = None if is_off() else own_folder(user_cache() / "programs")
     return None if folder is None else ProgramCache(folder)
 
@@ -130,8 +130,8 @@ def own_folder(folder: Path) -> Path | None:
         return None
     if parent_process() is None:  # workers do not repeat it
         LOGGER.warning(
-            "compiled programs are not kept, so each start compiles: %s; %s may name another "
-            "folder that only you can write",
+            "compiled programs are not stored, so every start compiles them again: %s; set %s to "
+            "a folder that only you can write to",
             problem,
             SWITCH,
         )

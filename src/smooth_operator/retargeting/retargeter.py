@@ -61,9 +61,9 @@ class Retargeter:
     """Retargets frames of a tracked human hand onto one robot hand.
 
     Use it with explicit state (``init``, ``step``), or call it and let it keep the state
-    (``__call__``, ``reset``). Either way a frame is one compiled program from landmarks to
-    command (up to the solver, for methods whose solver is a library on the host), compiled at the
-    first frame or by ``warm_up``.
+    (``__call__``, ``reset``). Either way, one compiled program maps the landmarks of a frame to the
+    command (or to the solver's input, for methods whose solver is a library on the host). It is
+    compiled at the first frame or by ``warm_up``.
 
     Methods depend on time, so every frame has a timestamp. If a frame has none, the retargeter uses
     the time of the call or, with a ``rate``, one period after the previous frame. ``step`` has no
@@ -175,7 +175,7 @@ class Retargeter:
         Raises:
             ConfigError: if the frame is of the other side, or has no timestamp and there is no
                 rate.
-            RecordingError: if the landmarks have another shape.
+            RecordingError: if the landmarks have the wrong shape.
         """
         start = time.perf_counter()
         frame = self._framed(frame)
@@ -422,7 +422,7 @@ class Retargeter:
             commands of the actuated joints, status and tracking loss of every frame.
 
         Raises:
-            RecordingError: an array has another shape.
+            RecordingError: an array has the wrong shape.
             ConfigError: the method's solver runs on the host.
         """
         if self.method.on_host:

@@ -80,7 +80,7 @@ SETTLED: Final = 0.15
 
 @dataclass(frozen=True)
 class SmoothConfig(ObjectiveMethodConfig):
-    """Settings of ``smooth``. A weight of 0 leaves its term out.
+    """Settings of ``smooth``. A weight of 0 disables its term.
 
     Attributes:
         alignment: alignment of human landmarks to the palm frame.
@@ -206,7 +206,7 @@ class Smooth(Method):
         return self.correspondence.landmarks if corresponds else ()
 
     def init(self, seed: int) -> SmoothState:
-        """State with the neutral pose; nothing is random."""
+        """State with the neutral pose; the method uses no random numbers."""
         del seed
         put = jax.device_put  # does not compile
         neutral = put(self.hand.neutral.astype(np.float32))
@@ -223,7 +223,7 @@ class Smooth(Method):
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        """(F - 1,) True for fingers latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
     def pinch_gaps(self, state: SmoothState) -> Float[Array, " P"]:
@@ -253,7 +253,7 @@ class Smooth(Method):
     def step(
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
-        """One frame."""
+        """Computes one frame; see ``Method.step``."""
         config, now = self.config, jnp.asarray(ticks, jnp.uint32)
         clock = FrameClock.of(now - state.ticks, state.frames)
 

@@ -42,8 +42,8 @@ _LEAST: Final = 0.25
 class FingertipMotion(PointTerm):
     """Cost term that makes fingertips copy the human's motion, whatever their position error.
 
-    Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last answer) - the human's step|^2, with the
-    goal's mu_i (``motion_weights``) and places of arrival (``tips``).
+    Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last command) - the human's step|^2, with
+    the goal's mu_i (``motion_weights``) and fingertips after that step (``tips``).
 
     Attributes:
         hand: the robot hand.
@@ -114,7 +114,7 @@ class FingertipPosition(VectorTerm):
 
     @property
     def is_off(self) -> bool:
-        """Without weight."""
+        """True without a weight."""
         return is_off(self.config.weight)
 
     def slopes(self, errors: Float[Array, "F 3"], goal: FrameGoal) -> VectorSlopes:
@@ -148,8 +148,8 @@ class PadDirection(PointTerm):
     """Cost term that points the thumb's last segment, and so its pad, like the human's.
 
     Weight times one minus the cosine between the two segments. Most thumbs have more joints than
-    the position of the fingertip determines. The direction of the pad decides if a held object
-    rolls.
+    the position of the fingertip determines. The direction of the pad decides whether a held
+    object rolls.
 
     Attributes:
         hand: the robot hand.
@@ -161,7 +161,7 @@ class PadDirection(PointTerm):
 
     @property
     def is_off(self) -> bool:
-        """Without weight, and for a hand without a landmark below the thumb's tip."""
+        """True without a weight, or for a hand without a landmark below the thumb's tip."""
         return is_off(self.weight) or BELOW_THUMB_TIP not in self.hand.tree.names
 
     def points(self) -> tuple[str, ...]:
@@ -171,7 +171,7 @@ class PadDirection(PointTerm):
     def expand(
         self, points: Float[Array, "2 3"], jacobian: Float[Array, "2 J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``; nothing where the human's segment is not known."""
+        """See ``PointTerm``; zero where the human's segment is unknown."""
         pad = jnp.full(3, jnp.nan) if goal.pad is None else goal.pad
         known = jnp.isfinite(pad).all()
         weight, aim = jnp.where(known, self.weight, 0.0), jnp.where(known, pad, 0.0)
@@ -250,7 +250,7 @@ class DirectionLength(VectorTerm):
     """Cost term on direction (1 - cosine) and length errors of the vectors from the thumb's tip.
 
     Where parts that touch keep a short vector from its target, the nearest point to the target may
-    lie in any direction. With a cost of its own, the direction stays the human's.
+    lie in any direction. A separate cost keeps the direction close to the human's.
 
     Attributes:
         config: settings.
@@ -295,7 +295,7 @@ class SelfCollisionConfig:
 
     Attributes:
         weight: weight of a pair that is too close, in the units of a keyvector's weight: the cost
-            is weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
+            is weight x d^2 / (2 x 20 mm) for a depth d; 0 disables the term.
         margin: distance below which a pair counts [m]. If negative, soft parts overlap.
     """
 
@@ -341,8 +341,8 @@ class SelfCollision(PointTerm):
     def expand(
         self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``; nearest points are held fixed on their segments: exact for the first
-        derivative. Of the second, only what the kinematics adds is kept."""
+        """See ``PointTerm``. Nearest points are held fixed on their segments: the first derivative
+        is exact; the second contains only the contribution of the kinematics."""
         pairs, config = self.pairs, self.config
         ends = points.reshape(-1, 2, 3)[pairs.pairs]
         one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))

@@ -1,4 +1,4 @@
-"""The start of JAX in a process of one's own, and its folder for machine code."""
+"""Configures JAX in a process that you own, and finds the folder for its compiled code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def start_jax(*, one_thread: bool = True) -> None:
     to one core while XLA starts, and uses all cores afterwards. Systems that can't limit the cores
     (macOS, Windows) keep all threads. Results are the same.
 
-    These are settings of the process: only the command line, or a program of yours, calls this.
+    These settings affect the whole process, so only the command or your own program calls this.
 
     Args:
         one_thread: start XLA now, with one thread; better for all presets but ``sbr:paper``.
@@ -51,8 +51,8 @@ def start_jax(*, one_thread: bool = True) -> None:
 def jax_folder() -> Path | None:
     """This user's folder for JAX's compilation cache, with machine code of this processor.
 
-    None if it is off (``SWITCH``) or there is no safe folder. Files that were not used for long are
-    removed. The command enables this cache; a library user may, too (docs/reference/methods.md).
+    None if it is disabled (``SWITCH``) or there is no safe folder. Files that were not used for
+    long are removed. The command enables it; your program may too (docs/reference/methods.md).
     """
     folder = None if is_off() else own_folder(user_cache() / machine())
     if folder is not None:

@@ -1,4 +1,4 @@
-"""Keyvectors, and the policies that set their targets and weights: base class and ``smooth``."""
+"""Keyvectors; base class of the policies that set their targets; the policy of ``smooth``."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class VectorLayout(ABC):
         return tuple(dict.fromkeys(i for pair in self.vectors for i in pair if i is not None))
 
     def human(self, landmarks: AnyKind) -> AnyKind:
-        """(..., K, 3) the human's vectors [m], of (..., 21, 3) aligned landmarks [m]."""
+        """(..., K, 3) the human's vectors [m], from (..., 21, 3) aligned landmarks [m]."""
         return self.among(landmarks[..., list(self.landmarks), :])
 
     def among(self, points: AnyKind) -> AnyKind:
-        """(..., K, 3) the vectors among (..., P, 3) points, one for each of ``landmarks`` [m]."""
+        """(..., K, 3) vectors [m] from the (..., P, 3) positions of ``landmarks`` [m]."""
         xp = array_namespace(points)
         points = xp.concatenate([points, xp.zeros_like(points[..., :1, :])], axis=-2)
         at = {None: -1} | {landmark: i for i, landmark in enumerate(self.landmarks)}
@@ -85,7 +85,7 @@ class KeyvectorLayout(VectorLayout):
         return slice(count, 2 * count - 1)
 
     def of_tips(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
-        """(..., K, 3) keyvectors [m], of (..., F, 3) fingertips and the (3,) wrist [m]."""
+        """(..., K, 3) keyvectors [m], from (..., F, 3) fingertips and the (3,) wrist [m]."""
         xp = array_namespace(tips)
         base = xp.broadcast_to(wrist, (*tips.shape[:-2], 1, 3))
         points: AnyKind = xp.concatenate([base, tips], axis=-2)
@@ -136,7 +136,7 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
         traceable."""
 
     def latched(self, state: StateT) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None for a policy without latches."""
+        """(F - 1,) True for fingers latched to the thumb; None for a policy without latches."""
         del state
         return None
 
@@ -145,7 +145,7 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
 class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
     """Targets of ``smooth``: the human's vectors from the wrist and from the thumb's tip.
 
-    The vectors from the wrist have a weight; those from the thumb only have ``DirectionLength``.
+    The vectors from the thumb's tip have weight 0, because ``DirectionLength`` controls them.
 
     Attributes:
         w_wrist: weight of the wrist-to-tip keyvectors.
@@ -167,12 +167,12 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
         return KeyvectorLayout(fingers, between_fingers=False)
 
     def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"]:
-        """Open latches."""
+        """The state before the first frame: all latches are open."""
         latches: Array = jax.device_put(np.zeros(len(layout.fingers) - 1, bool))
         return latches
 
     def latched(self, state: Bool[Array, " P"]) -> Bool[Array, " P"]:
-        """(F - 1,) which fingers are latched to the thumb."""
+        """(F - 1,) True for fingers that are latched to the thumb."""
         return state
 
     def __call__(

@@ -6,8 +6,8 @@ without a usable hand has no cost of its own: in a short gap it takes the cheape
 longer gap the last pose is held. The status tells these frames apart.
 
 A long stretch is solved in windows. Each window begins where the previous one ended and looks
-further ahead than the cost of motion acts, so that time grows in proportion to the recording, and
-memory only by its frames.
+further ahead than the cost of motion acts, so that time is proportional to the length of the
+recording, and memory grows only with the stored frames.
 """
 
 from __future__ import annotations
@@ -160,8 +160,8 @@ class TrajectoryRetargeter:
         seed: int | None = None,
         track: Progress | None = None,
     ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-        """Retargets whole recordings: frame by frame in parallel (``Retargeter.batch``), then each
-        as a whole. The results equal those of ``run`` bit for bit.
+        """Retargets recordings frame by frame in parallel (``Retargeter.batch``), then solves each
+        one as a whole. The results equal those of ``run`` bit for bit.
 
         Args:
             recordings: human hands of the retargeter's side.

@@ -41,7 +41,7 @@ _DAMPING_FIRST, _DAMPING_MOST = 1e-3, 1e8
 
 
 class ExtraTerms(Protocol):
-    """Costs of frames beyond the method's, which may have variables of their own.
+    """Additional costs of the frames, which may have their own variables.
 
     The variables x of a frame are the m joint positions [rad], then V more.
     """
@@ -106,7 +106,7 @@ def smooth_trajectory(
         stamps: (T,) strictly increasing times [s].
         limits: (m, 2) bounds [rad].
         fixed: number of frames at the beginning that do not change: the end of the last window.
-        led: points whose motion follows given steps; None for none.
+        led: points whose motion follows given steps; None without such points.
     """
     low, high = limits[:, 0], limits[:, 1]
     q = np.clip(np.asarray(start, np.float64), low, high)

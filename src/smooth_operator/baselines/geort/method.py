@@ -38,7 +38,7 @@ class GeortConfig(MethodConfig):
 
     Attributes:
         alignment: alignment of human landmarks to the palm frame, as in training.
-        model: a file of ``write_geort_model``; None for the built-in model of the hand.
+        model: file from ``write_geort_model``; None for the built-in model of the hand.
     """
 
     shareable: ClassVar[bool] = False  # the file of a model may change, and has one side
@@ -124,7 +124,7 @@ class Geort(Method):
     def step(
         self, state: GeortState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[GeortState, MethodOutput]:
-        """One frame."""
+        """Computes one frame; see ``Method.step``."""
         del ticks
         layout, model = self.objective.layout, self.model
         tips = aligned[np.array(human_tips(self.hand))]
@@ -296,8 +296,8 @@ class GeortModel:
         if away > _SAME_PLACE:
             image = "the mirror image of " if mirrored else ""
             raise ConfigError(
-                f"{about}; the {hand.spec.side} hand {hand.name!r} is not {image}it: at the same "
-                f"joint positions its fingertips are up to {away * 1e3:.3g} mm off{train}"
+                f"{about}; the {hand.spec.side} hand {hand.name!r} does not match {image}it: "
+                f"at equal joint positions its fingertips are up to {away * 1e3:.3g} mm off{train}"
             )
         return mirrored
 
@@ -311,7 +311,7 @@ def training_command(hand: Hand) -> str:
 
 
 def read_geort_model(path: str | Path) -> GeortModel:
-    """Reads a model of ``write_geort_model``, without unpickling.
+    """Reads a model file from ``write_geort_model``, without unpickling.
 
     Raises:
         ConfigError: the file does not exist, is damaged, or is not a model.

@@ -17,7 +17,7 @@ _POSES: Final = 8  # random poses by which a hand is recognised
 
 
 def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray, "k F 3"]]:
-    """The ``poses`` and ``tips`` of a model for a hand."""
+    """Random poses of a hand and their fingertips, by which its model recognises the hand."""
     low, high = hand.limits.T
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
     return poses, hand.tips(hand.full_configuration(poses))

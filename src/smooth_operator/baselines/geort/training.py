@@ -83,7 +83,7 @@ class GeortLoss:
 
     Attributes:
         hand: the robot hand.
-        settings: their weights.
+        settings: weights of the losses.
         centre: (F, 3) centres of the normalised fingertips [m].
         scale: (F,) scales of the normalised fingertips [m].
     """
@@ -98,7 +98,7 @@ class GeortLoss:
         return finger_joints(self.hand)
 
     def tips(self, weights: Weights, points: Float[Array, "F 3 N"]) -> Float[Array, "F 3 N"]:
-        """Fingertips of the robot for those of the human [m]."""
+        """Robot fingertips that the networks give for human fingertips [m]."""
         hand = self.hand
         inputs = (points - self.centre[:, :, None]) / self.scale[:, None, None]
         unit = forward(weights, inputs.astype(jnp.float32))
@@ -193,7 +193,7 @@ _BATCHES, _VALIDATION = 0xBA, 0x5E  # different random numbers for the two
 
 
 class TrainingState(NamedTuple):
-    """State of a training; a pytree of arrays. Random numbers are a function of seed and ``epoch``.
+    """Training state; a pytree of arrays. Random numbers are a function of seed and ``epoch``.
 
     Attributes:
         weights: weights of the networks.

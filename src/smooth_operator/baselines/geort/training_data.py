@@ -23,7 +23,7 @@ from smooth_operator.types import HandRecording, Side
 VOXEL: Final = 1e-3
 """Edge length of the cells that contribute one point each [m]."""
 STEP_RANGE: Final = (1e-3, 11e-3)
-"""Range of the lengths of human steps, whose direction the robot shall keep [m]."""
+"""Range of the lengths of human steps, whose direction the robot must keep [m]."""
 BEND: Final = 2e-3
 """Half the length of the straight human path on which curvature is measured [m]."""
 
@@ -41,9 +41,9 @@ class GeortTraining:
     - many small steps: a batch of 512 instead of 2048, and a learning rate that rises to 3e-3 and
       falls along a cosine, instead of a constant 1e-4;
     - ``ramp``: coverage starts slowly. Otherwise it pulls random networks to the robot's reach in
-      any order, which direction can't correct;
-    - ``margin``: the robot shall cover the operator's motion, not everything that it can reach;
-    - ``surround``: direction is also kept near the points, for other operators;
+      any order, which the direction loss can't correct;
+    - ``margin``: the robot must cover the operator's motion, not everything that it can reach;
+    - ``surround``: direction is also trained near the recorded points, for other operators;
     - ``pinch``: published without a scale; with 200 /m^2, a gap of 10 mm costs 0.02;
     - curvature is relative to the length of the path, because its square in metres is negligible.
 
@@ -101,7 +101,7 @@ class GeortTraining:
 
 
 REACH_POSES: Final = 65_536
-"""Number of random robot poses whose fingertips are its reach."""
+"""Number of random robot poses whose fingertips represent its reach."""
 FEWEST_POINTS: Final = 50
 """Smallest number of occupied cells of a hand that moves enough."""
 
@@ -130,7 +130,7 @@ class TrainingData:
 
     Attributes:
         train: points of training.
-        validation: points of validation; None without any.
+        validation: points of validation; None without validation.
         reach: (F, 3, R) robot fingertips of random poses, for coverage [m].
         sources: names of the recordings, and of those that are used only for validation.
         frames: numbers of usable frames of training and validation.
@@ -161,7 +161,7 @@ def training_data(
     settings: GeortTraining,
     held_out: Sequence[HandRecording] = (),
 ) -> TrainingData:
-    """Makes the data of a training from recordings: aligns, thins and splits them.
+    """Prepares training data from recordings: aligns, thins and splits them.
 
     Args:
         recordings: recordings of the model's users, of the hand's side.
@@ -211,7 +211,7 @@ def _tips(
     if recording.side != hand.spec.side:
         raise RecordingError(
             f"{recording.name}: it shows a {recording.side} hand, but {hand.name!r} is a "
-            f"{hand.spec.side} one; load that side of the robot"
+            f"{hand.spec.side} one; load the {recording.side} robot hand"
         )
     return align_recording(recording, hand, alignment)[:, list(human_tips(hand))]
 

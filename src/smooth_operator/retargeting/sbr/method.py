@@ -155,7 +155,7 @@ class Sbr(Method):
         )
 
     def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        """(F - 1,) True for fingers latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
     @property
@@ -166,7 +166,7 @@ class Sbr(Method):
     def step(
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SbrState, MethodOutput]:
-        """One frame."""
+        """Computes one frame; see ``Method.step``."""
         aligned, operator = self._placed(state, aligned, jnp.asarray(ticks, jnp.uint32))
         config, limits, layout = self.config, self.hand.limits, self.objective.layout
         targets, policy_state = config.objective.targets(

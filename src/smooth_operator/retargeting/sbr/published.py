@@ -32,7 +32,7 @@ Loss: TypeAlias = Literal["smooth_l1", "squared"]
 def base_weights(
     layout: KeyvectorLayout, wrist: float, thumb: float, between: float
 ) -> Float[np.ndarray, " K"]:
-    """(K,) weights: of the keyvectors from the wrist, from the thumb, and between fingers."""
+    """(K,) weights, from those of the vectors from the wrist, the thumb and between fingers."""
     weights = np.full(len(layout.pairs), between)
     weights[: len(layout.fingers)] = wrist
     weights[layout.thumb] = thumb
@@ -104,12 +104,12 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         return KeyvectorLayout(fingers)
 
     def init(self, layout: KeyvectorLayout) -> LatchState:
-        """Open latches."""
+        """The state before the first frame: all latches are open."""
         count = len(layout.fingers) - 1
         return LatchState(*jax.device_put((np.zeros(count, bool), np.zeros(count, np.float32))))
 
     def latched(self, state: LatchState) -> Bool[Array, " P"]:
-        """(F - 1,) which fingers are latched to the thumb."""
+        """(F - 1,) True for fingers that are latched to the thumb."""
         return state.latched
 
     def __call__(
@@ -140,7 +140,7 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
 
 
 class SquaredKeyvectors(Keyvectors):
-    """First term of Eq. (1) with the square of each component, as it is printed."""
+    """First term of Eq. (1) with the square of each component, as printed in the paper."""
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
         """See ``Keyvectors``."""
@@ -157,7 +157,7 @@ KEYVECTORS: Final[dict[Loss, type[Keyvectors]]] = {
     "smooth_l1": Keyvectors,
     "squared": SquaredKeyvectors,
 }
-"""First term of Eq. (1), by its penalty."""
+"""Maps the name of a penalty to the class of the first term of Eq. (1)."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class ObjectiveConfig(TermsConfig):
     Attributes:
         targets: the target policy; by default DexPilot's, as in the paper's table.
         pose_weight: lambda_reg (gamma of the paper's table), pull to a pose.
-        terms: more terms, which are built for the hand.
+        terms: additional terms, which are built for the hand.
         transition: error at which smooth-L1 changes from quadratic to linear [m].
         loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
             the paper; or ``squared``, as Eq. (1) is printed.

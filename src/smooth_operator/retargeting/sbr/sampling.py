@@ -102,7 +102,7 @@ class SamplingConfig:
     Attributes:
         samples: N, candidates per cycle.
         elites: M, candidates that shape the next cycle.
-        cycles: L.
+        cycles: L, number of cycles.
         sigma: initial standard deviation [rad].
         temperature: lambda of the softmax over elites.
         jitter: epsilon, added to the diagonal of the covariance.
