@@ -469,6 +469,31 @@ class Aero(OnALine):
         return not self.hand.torque_mode
 
 
+class Dex3(Simulated):
+    driver, library, unit = "dex3", "cyclonedds", 0.01
+    waits = ("_TIMEOUT", "_FINDING_S")
+
+    def start(self) -> None:
+        from simulators.dex3_dds import Dex3Hand
+
+        self.monkeypatch.setenv("CYCLONEDDS_URI", ON_LOOPBACK)
+        domain = 100 + os.getpid() % 100
+        self.simulate(Dex3Hand("right", domain=domain))
+        self.hand.__enter__()
+        self.sink = f"dex3:side=right,domain={domain}"
+
+    def powered(self) -> bool:
+        return bool(self.hand.motors.powered.all())
+
+    def close(self) -> None:
+        self.hand.__exit__()
+
+
+ON_LOOPBACK: Final = """<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface
+address="127.0.0.1"/></Interfaces></General></Domain></CycloneDDS>"""
+"""Settings of CycloneDDS, for a network that other programs of this machine only can reach."""
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -660,6 +685,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "rohand": Rohand,
     "rohand-gen1": RohandGen1,
     "aero": Aero,
+    "dex3": Dex3,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,

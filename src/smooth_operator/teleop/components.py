@@ -184,6 +184,7 @@ _DEVICE_SINKS: Final = {
     "wuji": ("a Wuji Hand", "wuji"),
     "revo2": ("a BrainCo Revo2", "revo2"),
     "aero": ("an Aero Hand Open", "aero"),
+    "dex3": ("a Unitree Dex3-1", "dex3"),
     "rohand": ("an OYMotion ROHand", "rohand"),
 }
 """Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are
