@@ -158,6 +158,7 @@ def test_a_table_fits_its_hand(name):
     [
         ("linker_o6_right", "linkerhand_o6/linker_hand_l6_right/linkerhand_o6_right.urdf"),
         ("linker_l21_right", "linkerhand_l21/right/linkerhand_l21_right.urdf"),
+        ("hx5_d20_right", "hx5_d20/urdf/hx5_d20_right.urdf"),
         ("inspire_ftp_right", "inspire_rh56_ftp/inspire_hand/FTP_right_hand.urdf"),
     ],
 )
