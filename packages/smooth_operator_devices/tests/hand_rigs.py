@@ -263,7 +263,7 @@ class Simulated(Rig):
 
     def slow(self) -> None:
         looks, motors = itertools.count(1), self.hand.motors
-        seconds = 0.4 / motors.speed.max()  # less than half a unit from look to look
+        seconds = 0.4 * self.unit / motors.speed.max()  # less than half a unit from look to look
         motors._clock, motors._time = lambda: seconds * next(looks), 0.0
 
     def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
@@ -494,6 +494,24 @@ address="127.0.0.1"/></Interfaces></General></Domain></CycloneDDS>"""
 """Settings of CycloneDDS, for a network that other programs of this machine only can reach."""
 
 
+class XHand(Simulated):
+    driver, unit, wrong = "xhand", 0.01, "error"
+    waits = ()
+
+    def start(self) -> None:
+        from simulators.xhand_sdk import XHand as SimulatedXHand
+        from simulators.xhand_sdk import xhand_modules
+
+        port = str(self.folder / "ttyXHand")
+        self.simulate(SimulatedXHand("right", port, 7))
+        for name, module in xhand_modules(self.hand).items():
+            self.monkeypatch.setitem(sys.modules, name, module)
+        self.sink = f"xhand:{port},table={self.on_another_hand('xhand', 'tesollo_dg5f')}"
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -686,6 +704,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "rohand-gen1": RohandGen1,
     "aero": Aero,
     "dex3": Dex3,
+    "xhand": XHand,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,

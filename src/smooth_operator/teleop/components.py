@@ -185,6 +185,7 @@ _DEVICE_SINKS: Final = {
     "revo2": ("a BrainCo Revo2", "revo2"),
     "aero": ("an Aero Hand Open", "aero"),
     "dex3": ("a Unitree Dex3-1", "dex3"),
+    "xhand": ("a RobotEra XHand 1", ""),
     "rohand": ("an OYMotion ROHand", "rohand"),
 }
 """Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are
