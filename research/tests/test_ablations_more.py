@@ -177,7 +177,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(context, monke
     monkeypatch.setattr(fk, "make_library", None)  # nothing is made or timed again
     outcome = fk.FkLibraries().run(context)
     assert outcome.figures["ns_per_pose"] == found.per_pose
-    assert "Pinocchio: not installed, so there is a gap" in outcome.setup
+    assert "Pinocchio is missing: not installed" in outcome.setup
     paper, ours = outcome.verdicts
     assert paper.held == "not shown"
     assert fk.INSTALL in paper.note

@@ -1,7 +1,7 @@
-"""Figures of one run of a program, as Markdown tables, and as JSON to compare runs.
+"""Reports the figures of a run as Markdown tables, and as JSON to compare runs.
 
 A result is one JSON file with the machine, the versions, the arguments and a flat table of figures,
-so that any two runs of the same program can be laid side by side with ``--compare``.
+so that any two runs of the same program can be compared with ``--compare``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ RESULTS: Final = Path("build") / "benchmarks"
 """Default folder of results; relative to the current folder, ignored by git."""
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[3]
-"""Root of a checkout; not a repository if installed from a wheel."""
+"""Root of the checkout; it is not a repository if this package was installed from a wheel."""
 
 _Table = tuple[str, tuple[str, ...], list[list[object]]]
 
@@ -45,8 +45,8 @@ class ReportSettings:
     """Options for the files of a run.
 
     Attributes:
-        output: JSON file of the figures; build/benchmarks/NAME.json unless given.
-        compare: an earlier JSON file to compare this run with.
+        output: JSON file of the figures; by default build/benchmarks/NAME.json.
+        compare: an earlier JSON file with which this run is compared.
     """
 
     output: Path | None = None
@@ -119,10 +119,10 @@ class Report:
     """Figures of one run, and the conditions of the run.
 
     Attributes:
-        benchmark: its name.
-        arguments: what it was asked to do.
-        figures: name -> number, flat; what ``--compare`` reads.
-        notes: sentences that belong under the tables: gaps, caveats.
+        benchmark: name of the benchmark.
+        arguments: arguments of the run.
+        figures: flat mapping from names to numbers, which ``--compare`` reads.
+        notes: sentences below the tables, about missing values and limitations.
     """
 
     benchmark: str
@@ -146,7 +146,7 @@ class Report:
         )
 
     def add(self, prefix: str, values: Mapping[str, float | None]) -> None:
-        """Adds figures under a common prefix, without those that could not be measured."""
+        """Adds figures with a common prefix, except those that could not be measured."""
         self.figures |= {f"{prefix}/{k}": float(v) for k, v in values.items() if v is not None}
 
     def finish(self, output: Path | None, compare: Path | None) -> None:
@@ -277,7 +277,7 @@ def _comparison(this: Mapping[str, Any], other: Mapping[str, Any]) -> str:
                 lines.append(f"- {kind}, {key}: {mine} here, {theirs} there")
     alone = {*this["figures"]} ^ {*other["figures"]}
     if alone:
-        lines.append(f"- {len(alone)} figures stand in only one of the two files")
+        lines.append(f"- {len(alone)} figures are in only one of the two files")
     return "\n".join(lines)
 
 

@@ -1,7 +1,8 @@
 """Measures real trackers from recordings: clock, losses, rigidity of the palm, shake of fingertips.
 
 ``python -m smooth_operator_research.tracker_fit RECORDING[@SETTINGS] ...`` prints the tables of
-``research/docs/trackers.md``, which says how the values of ``synthetic.tracker`` follow from them.
+``research/docs/trackers.md``, which explains how the values of ``synthetic.tracker`` follow from
+them.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _TIMES: Final = np.concatenate([[1e-4], np.geomspace(0.005, 0.3, 60)])
 """Correlation times to try [s]; the first is white noise."""
 _OUTLIER: Final = 5.0  # robust standard deviations
 _LONGEST_GAP_S: Final = 0.25
-"""Longest gap that counts as a loss of frames; in a longer one the hand was out of view."""
+"""Longest gap that counts as a loss of frames [s]; in longer gaps, the hand was out of view."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,11 @@ class ClockFit:
 
     Attributes:
         rate_hz: one over the median time between frames [Hz].
-        rate_jitter: standard deviation of a frame's time about its even place, over the period;
-            robust.
-        frame_loss: share of frames that never came or hold no complete hand, in gaps of up to
-            0.25 s; in longer ones the hand was out of view.
-        frame_loss_burst: mean length of such a gap [s]; 0 without one.
+        rate_jitter: robust standard deviation of a frame's time from an even grid, over the
+            period.
+        frame_loss: fraction of frames that never came or lack a complete hand, in gaps of up to
+            0.25 s; in longer gaps, the hand was out of view.
+        frame_loss_burst: mean length of such a gap [s]; 0 without gaps.
     """
 
     rate_hz: float
@@ -103,7 +104,7 @@ def in_palm(
 
 
 def still_windows(track: Float[np.ndarray, "T 3"], stamps: Float[np.ndarray, " T"]) -> list[slice]:
-    """Windows of half a second, 14 frames at least, in which a point is at rest.
+    """Windows of half a second (at least 14 frames) in which a point is at rest.
 
     Rest is judged by the means over quarters of a window, so that the choice does not prefer
     windows in which the tracker happens to shake little.
@@ -128,11 +129,11 @@ class ShakeFit:
 
     Attributes:
         windows: number of windows at rest.
-        frame: standard deviation of white noise with the same second differences from frame to
-            frame, of each coordinate [m].
-        shake: standard deviation of the autoregression, of each coordinate [m].
+        frame: standard deviation, per coordinate, of white noise with the same second differences
+            from frame to frame [m].
+        shake: standard deviation of the autoregression, per coordinate [m].
         shake_time: its correlation time [s]; 0.0001 for white noise.
-        outliers: share of second differences beyond five robust standard deviations.
+        outliers: fraction of second differences beyond five robust standard deviations.
     """
 
     windows: int
@@ -145,19 +146,19 @@ class ShakeFit:
 def fit_shake(windows: Sequence[Float[np.ndarray, "w c"]], period: float) -> ShakeFit:
     """Shake of fingertips at rest, from their second differences over several lags.
 
-    A second difference y(t + k) - 2 y(t) + y(t - k) knows no place and no steady motion. Its
-    variance over lags of k frames is
+    A second difference y(t + k) - 2 y(t) + y(t - k) contains neither position nor steady motion.
+    Its variance for lags of k frames is
 
         2 s^2 (3 - 4 p^k + p^2k) + 2/3 q (k T)^3,    p = exp(-T / tau),
 
-    for a first-order autoregression (s, tau), the tracker, and a velocity that is a random walk
-    (q), the person, who moves smoothly. A person's tremor stays with the tracker. Of each lag the
-    median over windows counts, from a frame to a quarter of a window. s^2 and q are the
-    non-negative least squares of the relative error; tau is the best of 61.
+    for a tracker that is a first-order autoregression (s, tau) and a smoothly moving person whose
+    velocity is a random walk (q). A person's tremor counts as the tracker's. For each lag, from a
+    frame to a quarter of a window, the median over windows is used. s^2 and q minimise the squared
+    relative error and are not negative; tau is the best of 61 values.
 
     Args:
         windows: parts in which a fingertip is at rest [m], of c coordinates each.
-        period: between frames [s].
+        period: time between frames [s].
     """
     shortest = min((len(window) for window in windows), default=0)
     if shortest < 12:
@@ -193,11 +194,11 @@ class TrackerFit:
     Attributes:
         clock: rate, jitter and losses.
         palm: root mean square deviation of a palm landmark's coordinate from the rigid palm [m];
-            the person's own posture is in it.
-        palm_frame: the same of white noise with the deviation's second differences [m].
-        tips: shake of each fingertip in the palm's frame; None where it is never at rest.
-        all_tips: shake of all of them together.
-        joints: (2,) how far PIP and DIP shake, as shares of the tip; NaN where none is at rest.
+            it includes the person's own posture.
+        palm_frame: root mean square of white noise with the same second differences [m].
+        tips: shake of each fingertip in the palm's frame; None if it is never at rest.
+        all_tips: shake of all fingertips together.
+        joints: (2,) shake of PIP and DIP relative to the tip; NaN if none is at rest.
         together: mean correlation of two fingertips' second differences, coordinate by coordinate.
     """
 
@@ -242,14 +243,14 @@ def fit_tracker(recording: HandRecording) -> TrackerFit:
 
 
 def _correlation(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> float:
-    """Spearman's correlation, which outliers and moments of motion do not dominate."""
+    """Spearman's correlation, which outliers and short motions do not dominate."""
     return float(np.mean([spearmanr(a[:, k], b[:, k]).statistic for k in range(3)]))
 
 
 def pinch_gap(recording: HandRecording, finger: str, frames: slice) -> float:
     """Distance of thumb and fingertip landmarks while they touch, in palm lengths.
 
-    A palm's length is from the wrist to the middle finger's MCP. The mean over the frames.
+    It is the mean over the frames. The palm length is from the wrist to the middle finger's MCP.
     """
     landmarks = recording.landmarks[frames]
     apart = landmarks[:, TIPS[FINGERS.index(finger)]] - landmarks[:, TIPS[0]]
@@ -287,7 +288,7 @@ def _cell(fit: ShakeFit | None) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The command."""
+    """Prints the tables for the recordings on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument(
         "recordings", nargs="+", help="files as `smooth-operator bench` takes them: file.npz@30hz"

@@ -18,7 +18,7 @@ ExperimentName: TypeAlias = Literal[
 
 @dataclass(frozen=True, kw_only=True)
 class Experimenting(Common):
-    """Options of both commands."""
+    """Options that ``ablate`` and ``paper`` share."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write: a new one, an empty one or that of earlier experiments."""

@@ -1,7 +1,7 @@
 """Demonstrations: trajectories that solve the tasks, as key poses from a search, in JSON files.
 
-They show that a hand can do a scene with its fingers alone, and hold that in the
-tests. ``research/docs/physics-measures.md`` says how they were found.
+They show that a hand can do a task with its fingers alone, and the tests check this.
+``research/docs/physics-measures.md`` explains how they were found.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class Demonstration:
     """Key poses of a hand, and their times.
 
     Attributes:
-        task: what it does.
-        hand: the robot hand's name.
-        side: its side.
-        times: (k,) [s], from 0.
+        task: name of the task.
+        hand: name of the robot hand.
+        side: side of the hand.
+        times: (k,) times of the key poses [s], from 0.
         poses: (k, m) actuated joint positions [rad].
     """
 
@@ -83,8 +83,8 @@ def load_demonstration(
 
     Args:
         hand: name of the robot hand; None for the default one.
-        tracker: kind of tracker that the operator is before, for which some tasks have a
-            demonstration of their own; None for the common one.
+        tracker: kind of the operator's tracker, because some tasks have a separate demonstration
+            for it; None for the common one.
     """
     names = demonstrated_hands(task)
     name = DEFAULT_HAND if hand is None else hand
@@ -140,8 +140,8 @@ def own_commands(
     """The demonstration's own joint positions as commands.
 
     Args:
-        off: (t, m) by how much each actuated joint is off, period by period [rad]; the last holds
-            on. None: not at all.
+        off: (t, m) offset of each actuated joint in each period [rad]; the last one stays. None
+            for no offset.
     """
     hand = demonstration.robot
 
@@ -160,11 +160,11 @@ def play(
     """Performs a demonstration in physics.
 
     Args:
-        disturb: changes the scene before it starts, as to see how much it bears.
+        disturb: changes the scene before it starts, to test what the demonstration tolerates.
 
     Yields:
-        the scene and the trial, a hundred times a second, until the trial is done or the
-        demonstration at its end.
+        the scene and the trial, a hundred times per second, until the trial is done or the
+        demonstration ends.
     """
     hand = demonstration.robot
     physics = ScenePhysics(hand, scene_for(demonstration.task, hand))
@@ -181,12 +181,11 @@ _STEP_S: Final = 0.001  # between two computed frames
 class DemonstrationLandmarks:
     """Landmarks of a perfect operator with the robot's geometry, who does not watch the scene.
 
-    The frame of a time is that of the pose one period later, since a command is where the joints
-    are to be at the end of its period. Before the start and after the end the hand is still. A
-    ``LandmarkSource``.
+    A frame shows the pose one period later, because a command is the pose at the end of its
+    period. Before the start and after the end, the hand does not move. A ``LandmarkSource``.
 
     Attributes:
-        seconds: when it is at its end [s].
+        seconds: duration [s].
     """
 
     def __init__(self, demonstration: Demonstration) -> None:

@@ -47,14 +47,14 @@ from smooth_operator_research.demonstrations.trial_loop import (
 )
 
 PINCH: Final = 0.004
-"""Allowed overlap of thumb and finger [m]: pads yield, and a grip needs force."""
+"""Allowed overlap of thumb and finger [m], because pads are soft and a grip needs force."""
 
 ELSEWHERE: Final = 0.001
 """Allowed overlap of other parts [m]."""
 
 
 def excess(demonstration: Demonstration) -> float:
-    """Self-penetration beyond what is allowed, added over key poses and halfway between [m]."""
+    """Self-penetration beyond the allowed depth, summed over key poses and poses halfway [m]."""
     hand, times = demonstration.robot, demonstration.times
     every = np.sort(np.concatenate([times, (times[1:] + times[:-1]) / 2]))
     poses = hand.full_configuration([demonstration.pose(float(time)) for time in every])
@@ -89,8 +89,8 @@ def progress(task: str, moments: Sequence[Moment]) -> float:
         moments: the trial, moment by moment.
 
     Returns:
-        0 for nothing to below 1; from 1 to 1.1 for success with score 1, the more the better its
-        margin.
+        0 for no progress, below 1 without success; 1 to 1.1 for success with score 1, higher for
+        a better margin.
     """
     last = moments[-1].run
     part, margin = _PARTS[task](moments)
@@ -153,7 +153,7 @@ _PARTS: Final[dict[str, Callable[[Sequence[Moment]], tuple[float, float]]]] = {
     "cube": _cube,
     "screwdriver": _screwdriver,
 }
-"""Task -> functions for the progress of a failed trial and the margin of a success, 0 to 1."""
+"""Task -> functions for the progress of a failed trial and for the margin of a success, 0 to 1."""
 
 
 def _scorer(moment: Moment, kind: type[Any]) -> Any:
@@ -189,9 +189,9 @@ class World(NamedTuple):
     """A perturbed world of a search.
 
     Attributes:
-        seed: seed of all that is drawn.
-        number: object pose, friction and mass are those of this world; 0 leaves them as they are.
-        operator: bones, shake and lost frames are those of this one.
+        seed: seed of all random values.
+        number: world that sets object pose, friction and mass; 0 for the unperturbed ones.
+        operator: world that sets bones, shake and lost frames.
         tracker: kind of tracker through which ``smooth`` sees the operator; None for the
             demonstration's own joint positions, without an operator.
     """
@@ -208,8 +208,8 @@ class Candidate:
 
     Attributes:
         demonstration: the key poses.
-        worlds: in which it is done.
-        margin: what a success with the best margin is worth more than one with none.
+        worlds: worlds in which it is performed.
+        margin: additional merit of a success with the best margin over one without margin.
     """
 
     demonstration: Demonstration
@@ -220,7 +220,7 @@ class Candidate:
 def judge(candidate: Candidate) -> list[float]:
     """Merit of a candidate in each of its worlds: 1 plus the margin for a success, less otherwise.
 
-    The self-penetration that it commands is taken off.
+    The commanded self-penetration is subtracted.
     """
     penalty = _OVERLAP * excess(candidate.demonstration)
     source = DemonstrationLandmarks(candidate.demonstration)
@@ -238,7 +238,7 @@ def tried(
     """Progress of a demonstration in a world; see ``progress``.
 
     Args:
-        source: the demonstration's landmarks, where they are known already.
+        source: the demonstration's landmarks, if they are already known.
     """
     task = task_named(demonstration.task)
     physics = _physics(task.name, demonstration.hand, demonstration.side, world.seed, world.number)

@@ -37,13 +37,13 @@ class PerturbationRanges:
     """Ranges of the perturbations; each quantity is uniform in its range, and 0 disables it.
 
     Attributes:
-        shift: shift of the object, along x and along y of the world, at most [m].
-        turn: turn of the object about the vertical, at most [rad].
-        friction: share by which the object's friction differs, sliding and torsional alike.
-        mass: share by which its mass and inertia differ.
-        hand: share by which all the operator's bones differ from the demonstration's.
-        finger: share by which the bones of each finger differ further.
-        gap: share by which the tracker's pinch gaps differ from person to person.
+        shift: largest shift of the object along x and y of the world [m].
+        turn: largest rotation of the object about the vertical [rad].
+        friction: largest relative change of the object's sliding and torsional friction.
+        mass: largest relative change of its mass and inertia.
+        hand: largest relative change of all the operator's bones from the demonstration's.
+        finger: largest additional relative change of the bones of each finger.
+        gap: largest relative difference of the tracker's pinch gaps between people.
     """
 
     shift: float = SHIFT_M
@@ -75,7 +75,7 @@ class Perturbation(ObjectVariation):
         number: number of the world; 0 for the unperturbed one.
         palm: factor of the operator's palm, from the wrist to the bases of the fingers.
         bones: (5,) factor of the bones of each human finger, thumb first.
-        tracker: through which the operator is seen; a perfect one by default.
+        tracker: tracker that sees the operator; a perfect one by default.
     """
 
     number: int = 0
@@ -98,8 +98,8 @@ def draw_perturbation(
 ) -> Perturbation:
     """Draws world ``number`` of a seed; number 0 is the unperturbed world, with a perfect tracker.
 
-    What is drawn does not depend on the ranges: a range of 0 leaves its quantity out and changes
-    no other one.
+    The random numbers do not depend on the ranges: a range of 0 disables its quantity and does not
+    change the others.
 
     Args:
         tracker: kind of tracker: ``glove``, ``headset`` or ``camera``.
@@ -128,7 +128,7 @@ def draw_perturbation(
 class TrackerClock:
     """Tracker frames for a loop with another clock; if two frames are due, the last one counts.
 
-    For one trial: the tracker begins with the first call and goes on from frame to frame.
+    It serves one trial: the tracker starts with the first call and continues frame by frame.
     """
 
     def __init__(self, model: TrackerModel) -> None:
@@ -149,7 +149,7 @@ class TrackerClock:
 class PerturbedLandmarks:
     """Landmarks with another operator's bones, seen through a tracker; a ``LandmarkSource``.
 
-    Between the tracker's frames there are no landmarks, and a loop holds its last command.
+    Between the tracker's frames there are no landmarks, so a loop holds its last command.
     """
 
     def __init__(self, source: LandmarkSource, world: Perturbation) -> None:

@@ -1,11 +1,12 @@
 """An operator who has practised with a retargeter and a tracker.
 
-A retargeter does not command what it is shown: a camera shows fingers farther apart than they are,
-pinches are pressed, filters follow. Someone who has watched the robot for a while moves so that it
-does what is wanted. Here the key poses that the operator shows are moved, against the error of the
-commands and round by round, until the commands are the demonstration's key poses: iterative
-learning control (Arimoto, Kawamura and Miyazaki 1984, doi:10.1002/rob.4620010203). Nothing of
-the trials takes part: neither an object nor shake nor lost frames, and the operators are others.
+The commands of a retargeter differ from the motion that it sees: cameras show fingers too far
+apart, pinches are pressed, and filters lag. People who have watched the robot for a while
+compensate for this. Here, the key poses that the operator shows are corrected in several rounds by
+the error of the commands, until these equal the demonstration's key poses: iterative learning
+control (Arimoto, Kawamura and Miyazaki 1984, doi:10.1002/rob.4620010203). Practice
+uses nothing from the trials: there is no object, no shake and no lost frame, and the operators are
+different people.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ ROUNDS: Final = 6
 """Number of attempts after which the motion is corrected."""
 
 OPERATORS: Final = 4
-"""Number of operators whose mean error is corrected; all move alike."""
+"""Number of operators whose mean error is corrected; all make the same motion."""
 
 BEYOND: Final = 0.3
 """Amount by which the operator may exceed the robot's joint limits [rad]."""
@@ -42,12 +43,12 @@ def practised(demonstration: Demonstration, retargeter: Retargeter, tracker: str
     """Motion of an operator with which a retargeter commands the key poses of a demonstration.
 
     Args:
-        demonstration: what the robot is to do.
-        retargeter: the method, for a loop that steps it.
+        demonstration: motion that the robot should make.
+        retargeter: the retargeter, which is called frame by frame.
         tracker: kind of tracker.
 
     Returns:
-        the same times and other key poses, which may lie beyond the joints' limits.
+        the operator's key poses at the same times; they may exceed the joints' limits.
     """
     hand = demonstration.robot
     lasts = np.minimum(np.diff(demonstration.times), _HOLD_S)

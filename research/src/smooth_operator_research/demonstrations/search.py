@@ -2,15 +2,14 @@ r"""Makes a demonstration of a task for a robot hand, by search in physics.
 
     python -m smooth_operator_research.demonstrations.search allegro_hand cube --output cube.json
 
-The first guess are the key poses of another hand, by fingertip inverse kinematics, or those of a
-file. Separable CMA-ES (Ros and Hansen, "A Simple Modification in CMA-ES Achieving Linear Time and
-Space Complexity", PPSN 2008) then moves the key poses of thumb, index and middle finger and the
-times between them. Candidates are judged by how far they get in the unperturbed world and in
-perturbed ones, other ones in each generation: the object's pose, friction and mass differ, and
-``smooth`` follows an operator with other bones through one of the ``--trackers``, as one practises
-with the tracker that one has. Self-penetration of the poses counts against a candidate. The seeds
-are not those of the benchmark's worlds. The search goes on where it stopped if its file ``--state``
-exists.
+The first guess is the key poses of another hand, transferred by inverse kinematics of the
+fingertips, or those of a file. Separable CMA-ES (Ros and Hansen, "A Simple Modification in CMA-ES
+Achieving Linear Time and Space Complexity", PPSN 2008) then moves the key poses of thumb, index and
+middle finger and the times between them. Candidates are judged by how far they get in the unperturbed world and in
+perturbed ones, which are new in each generation: the object's pose, friction and mass differ, and
+``smooth`` follows an operator with other bones through one of the ``--trackers``, because people
+practise with their own tracker. Self-penetration of the poses lowers a candidate's merit. The seeds
+are not those of the benchmark's worlds. If the file ``--state`` exists, the search resumes from it.
 """
 
 from __future__ import annotations
@@ -49,12 +48,12 @@ class Evolution:
     Attributes:
         mean: (n,) centre of the candidates.
         sigma: step size.
-        variance: (n,) of each number, in units of ``sigma``.
+        variance: (n,) variance of each number, in units of ``sigma``.
         path: (n,) evolution path of the step size.
         path_c: (n,) evolution path of the variances.
-        generation: how many have been judged.
+        generation: number of generations that have been judged.
         seed: seed of the random numbers.
-        count: candidates in a generation.
+        count: number of candidates per generation.
     """
 
     mean: Float[np.ndarray, " n"]
@@ -73,7 +72,7 @@ class Evolution:
         return cls(mean, sigma, np.ones_like(mean), zero, zero, 0, seed, count)
 
     def candidates(self) -> Float[np.ndarray, "c n"]:
-        """Points (c, n) to judge next; the same for the same state."""
+        """(c, n) points to judge next; they depend only on the state."""
         rng = np.random.default_rng([self.seed, self.generation])
         draws = rng.standard_normal((self.count, len(self.mean)))
         return np.asarray(self.mean + self.sigma * np.sqrt(self.variance) * draws)
@@ -140,10 +139,10 @@ _REST: Final = 0.2  # of a radian from the pose before, against a millimetre of 
 
 
 def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
-    """Transfers key poses to another hand, whose fingertips go where those of the first hand are.
+    """Transfers key poses to another hand, whose fingertips move to those of the first hand.
 
-    Where, that is, against the object: each hand has its own scene, in which the object lies within
-    its reach. Fingers besides thumb, index and middle stay in the neutral pose.
+    Positions are relative to the object, because each hand has its own scene with the object within
+    its reach. Fingers other than thumb, index and middle finger stay in the neutral pose.
     """
     first = demonstration.robot
     here, there = (scene_for(demonstration.task, one) for one in (first, hand))
@@ -208,7 +207,7 @@ def _joints_of(hand: Hand) -> list[int]:
 
 
 def _worlds(generation: int, count: int, seed: int, trackers: Sequence[str]) -> tuple[World, ...]:
-    """The unperturbed world and others; objects repeat, operators do not."""
+    """The unperturbed world and perturbed ones; objects repeat, operators do not."""
     numbers = [int(n) for n in generation * count + np.arange(count)]
     others = (
         World(seed, 1 + n % _OBJECTS, 1 + n, trackers[n % len(trackers)] if trackers else None)
@@ -221,19 +220,19 @@ class Search:
     """A search for one demonstration.
 
     Args:
-        worlds: perturbed worlds of a generation.
-        count: candidates in a generation.
-        sigma: first standard deviation of a joint in a key pose [rad].
-        trackers: kinds of trackers, in turn; none: the joints follow the demonstration exactly.
-        margin: what a success with the best margin is worth more than one with none.
-        kept: key poses that stay as they are, from the first on; at least the first.
-        beyond: how far beyond the joints' limits a key pose may be [rad].
+        worlds: number of perturbed worlds per generation.
+        count: number of candidates per generation.
+        sigma: initial standard deviation of a joint in a key pose [rad].
+        trackers: kinds of trackers, used in turn; empty: the joints follow the demonstration.
+        margin: additional merit of a success with the best margin over one without margin.
+        kept: number of key poses, from the first, that are not changed; at least 1.
+        beyond: amount by which a key pose may exceed the joints' limits [rad].
 
     Attributes:
         state: state of the evolution.
         best: the best demonstrations so far with their merits, best first.
-        merit: merit of the centre of the last generations, on average.
-        enough: that merit, at which little is left to gain.
+        merit: mean merit of the centre over the last generations.
+        enough: value of ``merit`` at which the search has little left to gain.
     """
 
     def __init__(
@@ -263,7 +262,7 @@ class Search:
     def generation(self, pool: _Pool) -> None:
         """Judges a generation; its first candidate is the centre.
 
-        All are judged in some worlds, the better half of them and the centre in all.
+        All candidates are judged in some worlds; the better half and the centre in all of them.
         """
         points = self.state.candidates()
         points[0] = self.state.mean
@@ -284,11 +283,11 @@ class Search:
         self.best = sorted([*self.best, *better], key=lambda one: -one[0])[:_KEPT]
 
     def result(self, pool: _Pool) -> tuple[Demonstration, float]:
-        """The best of the centre and the few best candidates, in worlds that the search has not
+        """Selects the best of the centre and a few candidates, in worlds that the search has not
         used.
 
         Returns:
-            it, and its merit there.
+            that demonstration, and its merit in these worlds.
         """
         last = [self._of(self.state.mean), *(demonstration for _, demonstration in self.best)]
         worlds = _worlds(0, _FINAL_WORLDS, FINAL_SEED, self._trackers)
@@ -352,7 +351,7 @@ def _first(name: str, task: str, hand: str) -> Demonstration:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """The command."""
+    """Runs the search from the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

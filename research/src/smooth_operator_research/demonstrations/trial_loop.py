@@ -1,7 +1,7 @@
 """A trial in physics: a source of human landmarks, a retargeter, a hand, an object, a score.
 
-The loop is causal: a command depends on the frames up to its time. It has no clock but the
-simulation's, so that the same inputs give the same trial on any machine.
+The loop is causal: a command depends only on the frames up to its time. The only clock is that of
+the simulation, so the same inputs give the same trial on any machine.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class LandmarkSource(Protocol):
         """Hand frame at a moment.
 
         Args:
-            time: since 'go' [s]; negative in the lead-in.
-            physics: the hand and its scene, to look at and not to change.
+            time: time since 'go' [s]; negative in the lead-in.
+            physics: the hand and its scene, which must not be changed.
 
         Returns:
             (21, 3) landmarks [m] in any right-handed frame; None for a dropped frame.
@@ -56,9 +56,9 @@ class Moment(NamedTuple):
     """State of a trial after one period.
 
     Attributes:
-        state: the scene.
+        state: state of the scene.
         run: the trial.
-        command: (n,) last command [rad]; NaN before the first.
+        command: (n,) last command [rad]; NaN before the first one.
     """
 
     state: SceneState
@@ -71,11 +71,11 @@ class TrialTrace:
     """Record of a trial, frame by frame; the lead-in is left out.
 
     Attributes:
-        times: (t,) when each frame came, since 'go' [s].
-        landmarks: (t, 21, 3) of the human [m]; NaN for dropped frames.
-        commands: (t, n) positions sent for it [rad].
-        positions: (t, n) where the joints were one period later [rad].
-        states: the scene one period later.
+        times: (t,) arrival time of each frame, since 'go' [s].
+        landmarks: (t, 21, 3) landmarks of the human [m]; NaN for dropped frames.
+        commands: (t, n) positions that were sent for the frame [rad].
+        positions: (t, n) joint positions one period later [rad].
+        states: state of the scene one period later.
     """
 
     times: Float[np.ndarray, " t"]
@@ -92,15 +92,15 @@ class TrialResult:
     Attributes:
         score: 0, 0.5 or 1.
         line: line of the task's rubric.
-        reason: in a few words.
-        seconds: from 'go' to the end [s].
-        ended: ``success``, ``drop``, ``timeout`` (the task's limit), or ``finished`` (the source's
-            time is over).
-        frames: how many frames the retargeter received since 'go'.
-        dropped: how many periods had none: dropped, or between two frames of a slower tracker.
-        diverged: how often the physics diverged and was reset; such a trial measures nothing.
-        resets: how often the object was put back.
-        trace: what happened; None unless asked for.
+        reason: short reason for the score.
+        seconds: time from 'go' to the end [s].
+        ended: ``success``, ``drop``, ``timeout`` (the task's limit), or ``finished`` (the end of
+            the source).
+        frames: number of frames that the retargeter received since 'go'.
+        dropped: number of periods without a frame: it was lost, or the tracker is slower.
+        diverged: number of times that the physics diverged and was reset; such a trial is void.
+        resets: number of times that the object was put back.
+        trace: record of the trial; None unless requested.
     """
 
     score: float
@@ -127,19 +127,19 @@ def perform(
 ) -> Iterator[Moment]:
     """Runs a trial with a source of joint commands.
 
-    Each period: the source sees the scene and gives a command, the physics goes on for a period,
-    the scorer sees the scene. Without a lead-in 'go' is now, with the scene as it is. With one the
-    commands begin ``lead_s`` before 'go', and the object is put to its start at 'go'.
+    In each period, the source sees the scene and gives a command, the physics advances by a period,
+    and the scorer sees the scene. Without a lead-in, 'go' is now, with the scene as it is. With a
+    lead-in, commands begin ``lead_s`` before 'go', and the object is put at its start at 'go'.
 
     Args:
-        seconds: after which the trial is left [s], still running; None for the task's own limit.
-        rate_hz: periods a second [Hz].
-        lead_s: how long the commands run before 'go' [s].
-        interventions: what the operator asks for, after each command since 'go'; a reset beyond
-            the one that is allowed is not granted.
+        seconds: time after which a running trial is left [s]; None for the task's own limit.
+        rate_hz: periods per second [Hz].
+        lead_s: duration of the commands before 'go' [s].
+        interventions: request of the operator after each command since 'go'; only one reset is
+            granted.
 
     Yields:
-        the moment after each period since 'go', until the trial is done or the time over.
+        the moment after each period since 'go', until the trial is done or the time is over.
     """
     limit = task.seconds if seconds is None else seconds
     if not (0.0 < rate_hz <= _FASTEST_HZ and limit >= 0.0 and lead_s >= 0.0):
@@ -219,18 +219,19 @@ def run_trial(
 ) -> TrialResult:
     """Runs a trial with a retargeter and a source of human landmarks.
 
-    A dropped frame repeats the last command. Frames take no time to arrive and to retarget.
-    Commands are sent as they are, kept within the joints' limits by the servos.
+    A dropped frame repeats the last command. Frames arrive and are retargeted without delay.
+    Commands are sent unchanged; the servos keep them within the joints' limits.
 
     Args:
-        rate_hz: frames, commands and looks of the scorer a second [Hz].
-        seconds: when the source is at its end [s], and the trial is finished as it stands; None for
-            the task's own limit.
-        lead_s: how long the operator holds the hand before 'go' [s]: frames with negative times.
+        rate_hz: rate of frames, commands and looks of the scorer [Hz].
+        seconds: end of the source [s], at which the trial is finished as it is; None for the
+            task's own limit.
+        lead_s: time for which the operator holds the hand before 'go' [s]; frames have negative
+            times.
         seed: seed of the method's random numbers; None for the retargeter's own.
-        prepare: changes the built scene before the trial, such as its friction.
-        interventions: what the operator asks for; see ``perform``.
-        trace: keep what happened.
+        prepare: changes the scene before the trial, such as its friction.
+        interventions: requests of the operator; see ``perform``.
+        trace: True to record the trial.
     """
     physics = ScenePhysics(retargeter.hand, scene)
     if prepare is not None:

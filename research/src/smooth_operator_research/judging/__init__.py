@@ -1,5 +1,5 @@
-"""Measurements of the input check and of pinch damping.
+"""Programs that measure the input check and pinch damping.
 
-Programs, run as ``python -m smooth_operator_research.judging.NAME``: ``input_check`` and
+Run them as ``python -m smooth_operator_research.judging.NAME``, with the names ``input_check`` and
 ``pinch_front``.
 """

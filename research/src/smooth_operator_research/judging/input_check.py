@@ -1,9 +1,9 @@
-"""Shares of mirrored hands, of wrong orders and of correct frames that the input check refuses.
+"""Measures how many mirrored hands, wrong orders and correct frames the input check refuses.
 
-Windows of recordings and of built-in operators, as they are and mirrored, clean and with the noise
-of a tracker, go through the check that every recording and every live tracker goes through
-(``smooth_operator.io.check_hand``). Prints a table: how many of the right ones are refused,
-which should be none; of each fault how many are noticed, and how many of these are named rightly.
+Windows of recordings and of built-in operators, original and mirrored, clean and with the noise of
+a tracker, pass through the check of every recording and every live tracker
+(``smooth_operator.io.check_hand``). The program prints how many correct windows are refused (which
+should be none) and, for each fault, how many are detected and how many of these named correctly.
 
     python -m smooth_operator_research.judging.input_check glove.npz video.npz@30hz
 """
@@ -39,8 +39,8 @@ class Window(NamedTuple):
 def windows(
     recordings: Sequence[HandRecording], seconds: float, noise: float, rng: np.random.Generator
 ) -> Iterator[Window]:
-    """All windows of a length, one after the other, and as many at random places and of random
-    length down to the fewest frames; each also as its mirror image."""
+    """All consecutive windows of a length, and as many at random positions with random lengths down
+    to the fewest frames; each also as its mirror image."""
     for recording in recordings:
         whole = np.isfinite(recording.landmarks).all(axis=(1, 2))
         assert recording.valid is not None
@@ -58,7 +58,7 @@ def windows(
 
 
 def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
-    """Converts our landmarks to the order of another tracker."""
+    """Converts this project's landmarks to the order of another tracker."""
     points = np.empty_like(landmarks)
     points[:, LAYOUTS[name]] = landmarks
     return points

@@ -1,10 +1,10 @@
-"""Gain and cost of ``pinch_damping`` of ``smooth``: a table and a picture, with other methods.
+"""Measures benefit and cost of ``pinch_damping`` of ``smooth``, as a table and a picture.
 
     python -m smooth_operator_research.judging.pinch_front --data RECORDINGS
 
-Each row is a value of ``pinch_damping``, 100 that of the default, or another method. Columns are
-the measure *pinch and hold* and how far the hand follows the human, on each recording. The
-default's value was chosen on these recordings.
+Each row is a value of ``pinch_damping`` (the default is 100) or another method. For each recording,
+the columns have the results of *pinch and hold* and how closely the hand follows the human. The
+default was chosen on these recordings.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RECORDINGS: Final = (
     "wilor_test_long_21x3.npz@30hz",
 )
 OPERATORS: Final = ("synthetic:1",)
-"""Built-in recordings, which need no file."""
+"""Recordings of the built-in operator, which need no file."""
 PINCH: Final = ("held", "dropped", "let_go")
 FOLLOWING: Final = {
     "cos thumb": "cosine_similarity",
@@ -51,11 +51,11 @@ class Settings:
 
     Attributes:
         damping: values of ``pinch_damping``.
-        methods: others, with their default presets.
-        data: folder of the recordings; without it a built-in operator alone.
+        methods: other methods, with their default presets.
+        data: folder of the recordings; without it, only a built-in operator is used.
         hand: robot hand.
-        workers: processes; one for each core if left out, 0 for none.
-        output: JSON file; Markdown and the picture stand next to it.
+        workers: number of processes; by default one per core, 0 for none.
+        output: JSON file; the Markdown file and the picture are written next to it.
     """
 
     damping: tuple[float, ...] = (0.0, 30.0, 100.0, 300.0, 1000.0)
@@ -67,7 +67,7 @@ class Settings:
 
 
 class Task(NamedTuple):
-    """A row on a recording, which is named as for ``bench``."""
+    """One row of the table on one recording, whose name has the form for ``bench``."""
 
     row: str
     method: str
@@ -77,7 +77,7 @@ class Task(NamedTuple):
 
 
 def measure(task: Task) -> Mapping[str, float | None]:
-    """Measures a row on a recording."""
+    """Measures one row on one recording."""
     (source,) = load_sources([parse_request(task.request)])
     recording = source.recording
     if recording is None:
@@ -149,8 +149,8 @@ def main(settings: Settings) -> None:
 
 
 def draw(means: Mapping[str, Mapping[str, float | None]], damped: int, stem: Path) -> None:
-    """Draws held and dropped over motion preservation, with a line through the values of
-    ``pinch_damping``."""
+    """Draws the held and dropped shares over motion preservation, with a line through the values
+    of ``pinch_damping``."""
     from matplotlib.figure import Figure
 
     with styled():

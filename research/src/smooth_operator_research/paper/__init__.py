@@ -1,5 +1,5 @@
 """The paper's supplementary experiments, re-run on the given data; one file each.
 
-An experiment is named in ``smooth_operator_research.paper.experiment``, and made of cells (what a
-solver did on a recording) that are kept on disk and shared among the experiments of a folder.
+``smooth_operator_research.paper.experiment`` lists the experiments. Each consists of cells (the
+results of a solver on a recording), which are stored on disk and shared within a folder.
 """

@@ -1,8 +1,8 @@
 """Solvers compared on one objective: from a single start, and from N starts in parallel.
 
-Each starts at its own last answer, keeps within the joint limits, and knows nothing of the others.
-The descending ones stop alike: where an iteration gains less than 1e-6, or after 100 evaluations;
-SLSQP in the published form after 20 iterations.
+Each solver starts at its own last solution and stays within the joint limits. All descent methods
+stop if an iteration gains less than 1e-6, or after 100 evaluations; SLSQP in the published form
+stops after 20 iterations.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_mini
 from smooth_operator_research.paper.nlopt_slsqp import NloptConfig, nlopt_minimise
 
 BatchGradient: TypeAlias = Callable[[Array], tuple[Array, Array]]
-"""(m, N) candidates, batch last, to their costs (N,) and gradients (m, N)."""
+"""Maps (m, N) candidates, batch last, to their costs (N,) and gradients (m, N)."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class RmspropConfig:
 
     Attributes:
         step: learning rate of the first iteration [rad].
-        final: learning rate of the last one over that of the first; between them it falls
-            geometrically. 1 is as in the lecture, which leaves a point that circles the minimum at
-            the distance of a step.
-        decay: decay of the running mean of squared gradients; the lecture's.
-        epsilon: added to the root of it, against a division by nothing.
+        final: learning rate of the last iteration over that of the first; between them it falls
+            geometrically. With 1, as in the lecture, a point may circle the minimum at the distance
+            of a step.
+        decay: decay of the running mean of squared gradients, as in the lecture.
+        epsilon: added to the root of that mean, to prevent a division by zero.
         max_evaluations: evaluations per frame.
         tolerance: change of the cost in one iteration that counts as none.
     """
@@ -90,21 +90,21 @@ def rmsprop_minimise(
     step: Float[Array, ""] | float | None = None,
     final: Float[Array, ""] | float | None = None,
 ) -> tuple[Float[Array, "m N"], Float[Array, " N"], Int[Array, ""]]:
-    """Descend from every start; each step is clipped to the bounds.
+    """Minimises by RMSProp from every start; each step is clipped to the bounds.
 
-    As with SLSQP here, a start's answer is the best point that it has seen, and it stops where an
-    iteration changes its cost by less than the tolerance.
+    The result of a start is the best point that it has evaluated, as with SLSQP here. A start stops
+    when an iteration changes its cost by less than the tolerance.
 
     Args:
         starts: (m, N) points within the bounds.
         limits: (m, 2) bounds.
         config: settings.
         step: learning rate, instead of the configured one; may be traced.
-        final: likewise.
+        final: ``final``, instead of the configured one; may be traced.
 
     Returns:
-        (m, N) the answers, (N,) their costs, and how often the objective was evaluated by the
-        start that took longest.
+        (m, N) the solutions, (N,) their costs, and the number of evaluations of the objective by
+        the start that needed the most.
     """
     low, high = (jnp.asarray(limits[:, i, None], starts.dtype) for i in (0, 1))
     first = jnp.asarray(config.step if step is None else step, starts.dtype)
@@ -154,12 +154,12 @@ def scattered_starts(
     count: int,
     spread: float,
 ) -> Float[Array, "m N"]:
-    """N starts: the last answer itself, and normals about it, within the bounds.
+    """N starts: the last solution, and normally distributed points around it, within the bounds.
 
     Args:
-        last: (m,) answer to the last frame [rad].
+        last: (m,) solution of the last frame [rad].
         limits: (m, 2) bounds.
-        key: two random words, the frame's own.
+        key: two random words for this frame.
         count: N.
         spread: standard deviation [rad].
     """
@@ -174,7 +174,7 @@ def soft_mean(
 ) -> Float[AnyKind, " m"]:
     """Mean of the outputs, weighted by the softmax of -cost / temperature.
 
-    An output whose cost is not finite has no weight; where none is finite, the answer is not.
+    An output whose cost is not finite has no weight; if no cost is finite, the mean is not either.
     """
     xp = array_namespace(costs)
     finite = xp.isfinite(costs)
@@ -186,18 +186,18 @@ def soft_mean(
 
 
 SPREAD: Final = 0.2
-"""Standard deviation of parallel starts about the last answer [rad]: the sampler's own."""
+"""Standard deviation of parallel starts around the last solution [rad], as for the sampler."""
 
 TEMPERATURE: Final = 0.1
-"""Temperature of the softmax over the outputs: the sampler's own."""
+"""Temperature of the softmax over the outputs, as for the sampler."""
 
 NEWTON_CONFIG: Final = NewtonConfig(10, (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0))
-"""DexPilot's closed pinches weigh 200 and 400, and bend the loss accordingly: where it is that far
-from convex, less damping finds no descent."""
+"""DexPilot's closed pinches have weights of 200 and 400, so the loss is far from convex there, and
+less damping would find no descent."""
 
 _FEW: Final = 64
-"""Up to here the small program for the gradient is used, which compiles in a second; beyond, the
-unrolled one, which takes eight seconds to compile and a sixth of the time to run."""
+"""Largest number of starts for the small gradient program, which compiles in a second. The unrolled
+program for more starts takes eight seconds to compile, and a sixth of the time to run."""
 
 Knobs: TypeAlias = Float[Array, " k"]
 """Tuned settings. They are arguments of the compiled program, so all values share one program."""
@@ -208,8 +208,8 @@ class Starts:
     """Starts of a descent.
 
     Attributes:
-        count: N; 1 is the last answer alone.
-        spread: standard deviation of the others about it [rad].
+        count: N; with 1, only the last solution.
+        spread: standard deviation of the other starts around it [rad].
         temperature: temperature of the softmax over their results.
     """
 
@@ -277,7 +277,7 @@ class Sampling(CompiledSolver):
     Attributes:
         samples, elites, cycles, sigma: N, M, L and the initial standard deviation [rad].
         most_cycles: L that the program is compiled for.
-        note: words after its name.
+        note: text that follows the name.
     """
 
     samples: int = 8192
@@ -396,9 +396,9 @@ class Rmsprop(_FromStarts, CompiledSolver):
 
 @dataclass(frozen=True)
 class Newton(_FromStarts, CompiledSolver):
-    """Projected Newton steps with the exact Hessian: ours, not the paper's.
+    """Projected Newton steps with the exact Hessian; this solver is ours, not the paper's.
 
-    The number of steps is fixed; those after the last that gains are cheap, and change nothing.
+    The number of steps is fixed; steps that no longer gain are cheap and change nothing.
     """
 
     config: NewtonConfig = NEWTON_CONFIG
@@ -439,7 +439,7 @@ class Newton(_FromStarts, CompiledSolver):
 class Slsqp(_FromStarts):
     """SLSQP, single-start or from N starts one after the other: it runs on the host.
 
-    NLopt's, until it gains nothing more; or SciPy's with the limit of the paper's authors.
+    It is NLopt's, until it gains no more, or SciPy's with the limit of the paper's authors.
     """
 
     config: NloptConfig | SlsqpConfig = field(default_factory=NloptConfig)

@@ -32,7 +32,7 @@ PAPER_BUDGET: Final = 163_840
 """N x L of the contour in the paper: 8192 x 20, 4096 x 40, 16384 x 10."""
 
 LEAST: Final = 0.001
-"""Splits whose losses differ by less than this share count as equal."""
+"""Splits of N and L whose losses differ by less than this fraction count as equal."""
 
 
 class Compute:
@@ -58,10 +58,10 @@ class Compute:
             f"SBR's objective as published (pose weight {config.pose_weight:g}, w_v "
             f"{config.velocity_weight:g}, M = 128, σ = 0.2, λ = 0.1, fresh normals) on "
             f"{problems[0].hand.name}: {len(points)} cells of the grid, {frames:,} frames of "
-            f"{context.recordings}, {counted(context.size.seeds, 'seed')} each, every cell over "
-            "the whole of every recording from its own last answers. L counts the last cycle, "
-            "which Algorithm 1 draws and does not use. The reference is DexPilot as published "
-            "(its own loss) on the same frames, its answers measured by the grid's loss.",
+            f"{context.recordings}, {counted(context.size.seeds, 'seed')} each. Every cell solves "
+            "all recordings completely, each frame from its own last solution. L includes the last "
+            "cycle, which Algorithm 1 draws and does not use. The reference is DexPilot as "
+            "published (with its own loss) on the same frames, measured by the loss of the grid.",
             verdicts,
             [_table(means), _contour_table(losses, lines)],
             [
@@ -135,13 +135,13 @@ def _references(context: ExperimentContext, problems: list[Problem]) -> tuple[Sa
 def balance(losses: Losses, line: list[Point]) -> tuple[Point, Estimate, Estimate]:
     """Compares the best inner cell of a contour with both ends.
 
-    For each independent unit that cell is chosen by the losses of the others, so that no loss is
-    judged that took part in the choice.
+    For each independent unit, the inner cell is chosen by the losses of the other units, so that no
+    judged loss takes part in the choice.
 
     Returns:
-        the cell with the lowest loss of all units; and the relative change of loss, of the cells
-        chosen without each unit, against the widest and the deepest cell. Of a single unit, which
-        leaves nothing to choose by, the cell in the middle is compared.
+        the cell with the lowest loss over all units; and the relative change of loss from the
+        widest and from the deepest cell to the cell chosen for each unit. With a single unit, there
+        are no others to choose by, and the middle cell is compared.
     """
     units = losses[line[0]].units
     inner = line[1:-1]
@@ -169,7 +169,7 @@ def _balance_verdict(losses: Losses, lines: list[list[Point]]) -> Verdict:
         changes = [contrast(losses[p], losses[ours[2]], "change") for p in ours[:2]]
         named = (
             f" The paper's own three cells: {ours[0]} {percent(changes[0])} and {ours[1]} "
-            f"{percent(changes[1])} against {ours[2]}."
+            f"{percent(changes[1])} compared with {ours[2]}."
         )
     return Verdict(
         f"at equal compute, N × L = {line[0].budget:,}, a balanced split beats many "
@@ -179,7 +179,7 @@ def _balance_verdict(losses: Losses, lines: list[list[Point]]) -> Verdict:
         judge(Direction(0.0, upwards=False), [wide]),  # the end that the caption speaks of
         "The cell is chosen for each recording by the losses on the others; less than "
         f"{100 * LEAST:g} % makes no difference in practice.{named} With intervals widened for the "
-        f"number of contours, a balance beats both ends on {len(winning)} of {len(lines)}"
+        f"number of contours, a balanced split beats both ends on {len(winning)} of {len(lines)}"
         + (f", N × L = {', '.join(f'{n:,}' for n in winning)}." if winning else "."),
     )
 
@@ -199,8 +199,8 @@ def _reference_verdict(losses: Losses, means: dict[Point, Estimate], reference: 
         f"below {PAPER_REFERENCE}",
         f"{best}: {means[best].shown(4)}, {percent(at)} against DexPilot's {limit.value:.4g}",
         judge(Direction(0.0, upwards=False), [at]),
-        f"Both by SBR's loss: DexPilot is at {limit.shown(4)}; {passing} of {len(means)} cells are "
-        "below it.",
+        f"Both are measured by SBR's loss: DexPilot is at {limit.shown(4)}; {passing} of "
+        f"{len(means)} cells are below it.",
     )
 
 
@@ -217,8 +217,8 @@ def _table(means: dict[Point, Estimate]) -> Table:
         ["", *(f"N = {n:,}" for n in samples)],
         rows,
         "Geometric means over independent recordings with 95 % intervals, which are wide because "
-        "recordings differ. The differences between cells below are paired by recording. –: "
-        "beyond the budget.",
+        "recordings differ. The differences between cells below are paired by recording. –: not "
+        "computed, because N × L exceeds the budget.",
     )
 
 

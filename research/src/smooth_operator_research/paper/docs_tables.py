@@ -1,7 +1,7 @@
 r"""Writes the tables of research/docs/paper.md from the results of `smooth-operator paper`.
 
-Each table stands between a line `<!-- table: NAME -->` and a line `<!-- end -->`; what stands
-between them is replaced. Without `--docs` the tables are printed.
+Each table is between a line `<!-- table: NAME -->` and a line `<!-- end -->`; the text between
+these lines is replaced. Without `--docs` the tables are printed.
 
     smooth-operator paper --output build/paper
     smooth-operator paper RECORDING ... --output build/paper-real
@@ -120,7 +120,7 @@ def _rate(results: Results) -> Table:
 
 
 def _quality(results: Results) -> Table:
-    """The paper's table without its own figures, which are in the claims, and without latency."""
+    """The paper's table, without the published values (the claims have them) and latency."""
     own = _table(results, "table", "The paper's table")
     rows = [row for row in own.rows if not row[0].startswith((" ", "latency"))]
     return Table(own.title, own.headers, rows)
@@ -186,7 +186,7 @@ on recordings of real trackers."""
 
 
 def block(name: str, table: Table) -> str:
-    """A table between its marks, without its note, which the page has as text."""
+    """A table between its marks, without its note, which the page contains as text."""
     return f"<!-- table: {name} -->\n{markdown(table.headers, table.rows)}\n<!-- end -->"
 
 
@@ -205,7 +205,7 @@ def main(
     Args:
         built_in: folder of `paper` on the built-in operators.
         real: folder of `paper` on recordings of real trackers.
-        docs: page whose tables are replaced; they are printed if left out.
+        docs: page whose tables are replaced; without it, the tables are printed.
     """
     results = read_results(built_in), read_results(real)
     text = "" if docs is None else docs.read_text(encoding="utf-8")

@@ -64,31 +64,31 @@ class Size:
     """Size of an experiment: amount of computing.
 
     Attributes:
-        name: what it is called.
-        recordings: requests for the built-in operator, where none are given.
-        frames: most frames of each recording, for the solvers.
+        name: name of the size.
+        recordings: requests for the built-in operator, if no recordings are given.
+        frames: largest number of frames of each recording, for the solvers.
         seeds: runs of each random solver on each recording.
         samples: N of Algorithm 1.
         cycles: L of Algorithm 1.
         rmsprop_starts, slsqp_starts, newton_starts: N of the batched forms.
-        steps: learning rates that RMSProp is tuned over [rad].
-        finals: shares of it that are left at the end, likewise.
-        sigmas: initial deviations that Algorithm 1 is tuned over [rad].
-        tuning_frames: frames that are tuned on, of another operator.
+        steps: candidate learning rates for the tuning of RMSProp [rad].
+        finals: candidate ratios of its last learning rate to the first.
+        sigmas: candidate initial deviations for the tuning of Algorithm 1 [rad].
+        tuning_frames: number of frames of another operator that are used for tuning.
         grid_samples: N of the grid N x L.
         grid_cycles: L of the grid.
         grid_budget: cells with a larger N x L are left out.
-        grid_frames: most frames of each recording, for the grid.
-        fk_batches: sizes of the batch of forward kinematics.
+        grid_frames: largest number of frames of each recording, for the grid.
+        fk_batches: batch sizes of forward kinematics.
         fk_rounds: rounds of its timing.
-        table_frames: most frames of each recording, for the table.
-        latency_frames: frames of them for latency.
-        noise_frames: most frames of each recording, for ``noise``.
+        table_frames: largest number of frames of each recording, for the table.
+        latency_frames: number of these frames on which latency is measured.
+        noise_frames: largest number of frames of each recording, for ``noise``.
         noises: standard deviations of a coordinate of a landmark [m].
-        losses: shares of frames that never arrive.
+        losses: fractions of the frames that never arrive.
         tracker_seeds: seeds of the tracker's noise and losses on each recording.
         rates: frame rates [Hz].
-        rate_seconds: most of each recording, for ``rate`` [s].
+        rate_seconds: longest part of each recording, for ``rate`` [s].
     """
 
     name: str
@@ -135,13 +135,13 @@ _SHARES: Final = (0.8192, 0.6710, 0.5497)
 
 
 def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
-    """Requests for several built-in operators, who share neither hand nor motion.
+    """Requests for several built-in operators, with different hands and motions.
 
     Each has its own seed (bone proportions, timing, amplitudes), a hand of 16 to 21 cm, a
-    tempo of 0.8 to 1.3, and another part of the round of gestures.
+    tempo of 0.8 to 1.3, and a different part of the sequence of gestures.
 
     Args:
-        frames: length of each.
+        frames: number of frames of each.
     """
     names = []
     for seed in range(count):
@@ -183,7 +183,7 @@ DEFAULT: Final = Size(
     rates=(15.0, 30.0, 100.0),
     rate_seconds=2.0,
 )
-"""Size for two cores, with twenty independent operators, enough to show a real direction."""
+"""Size for two cores; twenty independent operators are enough to show an effect's direction."""
 
 QUICK: Final = replace(
     DEFAULT,
@@ -253,11 +253,11 @@ class ExperimentFolder:
     """Folder of the results of experiments.
 
     Args:
-        folder: made if need be.
-        note: called with cells that can't be used.
+        folder: created if missing.
+        note: called with a message about cells that can't be used.
 
     Attributes:
-        cells: what was computed.
+        cells: store of the computed cells.
         environment: versions and machine.
     """
 
@@ -267,7 +267,7 @@ class ExperimentFolder:
         check_folder(folder)
         before = read_configuration(folder / CONFIG)
         if before is not None and "code" not in before:
-            note(f"{folder} is of an earlier version: its cells are computed again")
+            note(f"{folder} was written by an earlier version: its cells are computed again")
         self.cells = ArrayCache(folder / CELLS, note)
         config = {"program": PROGRAM, "command": COMMAND, "settings": dict(settings)}
         write_json(
@@ -276,7 +276,7 @@ class ExperimentFolder:
 
     @property
     def machine(self) -> dict[str, Any]:
-        """Facts on which times depend: processor, cores and device."""
+        """Facts that affect measured times: processor, cores and device."""
         return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
 
     def experiment_folder(self, name: str) -> Path:
@@ -312,8 +312,8 @@ class Drawing:
 
     Attributes:
         name: name of its files, ``NAME.png`` and ``NAME.svg``.
-        caption: what is seen.
-        figure: matplotlib's.
+        caption: text that explains the figure.
+        figure: matplotlib's figure.
     """
 
     name: str
@@ -326,10 +326,10 @@ class Table:
     """Table of text; its first column has the names of the rows.
 
     Attributes:
-        title: above it.
+        title: title above the table.
         headers: headings of the columns.
         rows: cells.
-        note: below it.
+        note: text below the table.
     """
 
     title: str
@@ -343,11 +343,11 @@ class Outcome:
     """The outcome of an experiment.
 
     Attributes:
-        setup: one paragraph: what was done, on what, at which size.
-        verdicts: claim by claim.
-        tables: what was measured.
-        drawings: the same, drawn.
-        figures: all numbers, as JSON has them.
+        setup: one paragraph on method, data and size.
+        verdicts: one for each claim.
+        tables: tables of the results.
+        drawings: plots of the results.
+        figures: all numbers, as JSON values.
     """
 
     setup: str
@@ -420,7 +420,7 @@ def silent(name: str, work: float) -> Iterator[Advance]:
 
 
 Compute: TypeAlias = Callable[[Callable[[float], None]], dict[str, np.ndarray]]
-"""Makes the arrays of a cell; its argument is a function to call with the share done."""
+"""Computes the arrays of a cell; its argument is a function to call with the fraction done."""
 
 
 def cell_job(
@@ -429,10 +429,10 @@ def cell_job(
     """Job of a cell, unless the cell is stored already.
 
     Args:
-        key: what its content depends on, but for code; its ``kind`` begins the name of the file.
-        effort: about how long it takes [ms]; only the proportions matter.
-        compute: makes it.
-        code: digest of code that it depends on beyond ``experiment_code``.
+        key: everything except code that the cell depends on; the file name begins with ``kind``.
+        effort: approximate duration [ms]; only the proportions matter.
+        compute: computes the cell.
+        code: digest of code that it depends on in addition to ``experiment_code``.
     """
     name = content_name(key["kind"], key)
     return Job(name, key, f"{experiment_code()} {code}".strip(), compute, label, effort)
@@ -443,10 +443,10 @@ class ExperimentContext:
     """The recordings, the size, the store and the display.
 
     Attributes:
-        sources: the recordings that are judged.
+        sources: the recordings on which methods are judged.
         hand: name of the robot hand.
-        size: how much is computed.
-        store: the folder.
+        size: amount of computing.
+        store: folder of the results.
         track: shows the progress.
     """
 

@@ -1,4 +1,4 @@
-"""``results.json``, the figures and ``report.html``."""
+"""Writes the files of experiments: ``results.json``, the figures and ``report.html``."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def write_outcome(
     """Writes the outcome of an experiment.
 
     Returns:
-        ``results.json``, written last: where it stands, the figures do.
+        the path of ``results.json``, which is written last: if it exists, the figures do too.
     """
     folder = store.experiment_folder(name)
     for drawing in outcome.drawings:

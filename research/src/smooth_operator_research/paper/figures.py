@@ -26,7 +26,7 @@ FAMILY_COLORS: Final = {
 """Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
 
 FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton": "D"}
-"""Shapes, so that nothing depends on colour alone."""
+"""Shapes of markers, so that methods can be told apart without colour."""
 
 
 def dot(
@@ -236,7 +236,7 @@ def fk_figure(
     gaps: Mapping[str, str],
     libraries: Sequence[str],
 ) -> Figure:
-    """Draws the time per pose over the batch size, one line per library; missing ones are named."""
+    """Draws the time per pose over the batch size, one line per library; names missing ones."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -269,8 +269,8 @@ def fk_figure(
 
 
 class Row(NamedTuple):
-    """A row of panels: a metric, its factor to the unit of the axis, the axis; and name -> figure
-    of the human that is drawn with the methods."""
+    """A row of panels: a metric, its factor to the unit of the axis, the axis; and the human's own
+    values by name, which are drawn with the methods."""
 
     metric: str
     factor: float
@@ -280,8 +280,8 @@ class Row(NamedTuple):
 
 
 class Column(NamedTuple):
-    """A column of panels: the axis, the place of each condition on it, the conditions as the sweep
-    knows them, and marks at the places if their numbers won't do."""
+    """A column of panels: the axis, the position of each condition on it, the names of the
+    conditions in the sweep, and tick labels if the positions are not suitable as labels."""
 
     title: str
     places: Sequence[float]
@@ -403,12 +403,12 @@ class Panel(NamedTuple):
 
     Attributes:
         title: title of the axis.
-        log: is it logarithmic?
-        factor: to the unit of the axis.
-        means: method -> our figure.
-        each: method -> figures of the recordings.
-        paper: method -> figure of the paper.
-        goal: where the best is, or None.
+        log: True for a logarithmic axis.
+        factor: factor to the unit of the axis.
+        means: method -> our mean.
+        each: method -> values of the recordings.
+        paper: method -> value in the paper.
+        goal: best possible value, or None.
     """
 
     title: str
@@ -422,7 +422,7 @@ class Panel(NamedTuple):
 
 def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
     """Draws dots with intervals, a row for each method and a panel for each metric; diamonds are
-    the paper's own figures."""
+    the paper's values."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 

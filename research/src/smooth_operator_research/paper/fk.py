@@ -1,7 +1,7 @@
-"""Experiment ``fk``: libraries of forward kinematics over the size of the batch.
+"""Experiment ``fk``: compares libraries of forward kinematics at several batch sizes.
 
-Each is given the same positions of all joints, prepared beforehand in the form that it likes best:
-what is timed is kinematics, and not the way to it.
+Each library gets the same positions of all joints, converted beforehand to the form that suits it
+best, so that only the kinematics is timed and not the conversion.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ _INERTIAL: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A hand for other libraries.
+    """A hand as a URDF file, for other libraries.
 
     Attributes:
-        text: the file.
-        joints: (n,) names in it of the hand's joints, in the hand's order.
-        zero: (n,) position of each joint in the hand where it is 0 here [rad].
+        text: content of the file.
+        joints: (n,) names of the hand's joints in the file, in the hand's order.
+        zero: (n,) position of each joint of the hand at which the file's position is 0 [rad].
         tips: (F,) names of the links whose origins are the fingertips, thumb first.
     """
 
@@ -198,8 +198,8 @@ class Library:
 
     Attributes:
         name: one of ``LIBRARIES``.
-        prepare: (N, n) positions of all joints [rad] -> what is timed.
-        read: what that returns -> (N, F, 3) fingertips in the palm frame [m].
+        prepare: (N, n) positions of all joints [rad] -> the function that is timed.
+        read: result of that function -> (N, F, 3) fingertips in the palm frame [m].
     """
 
     name: str
@@ -405,7 +405,7 @@ def _pytorch(hand: Hand) -> Library:
 INSTALL: Final = 'python -m pip install "./research[fk]"'
 """Command that installs the compared libraries, in a clone."""
 SLICE_S: Final = 0.05
-"""Time for which a round repeats a call [s]; a longer call is made once."""
+"""Time for which a round repeats a call [s]; a call that takes longer is made once."""
 
 CHECKED: Final = 200
 """Number of poses on which a library must agree before it is timed."""
@@ -416,11 +416,11 @@ class Timing:
     """Measured times.
 
     Attributes:
-        batches: sizes.
-        per_pose: library -> batch -> one figure for each round [ns].
-        gaps: library -> why it has none.
+        batches: batch sizes.
+        per_pose: library -> batch size -> time in each round [ns].
+        gaps: library -> reason why it was not timed.
         worst: library -> its largest disagreement with MuJoCo [m].
-        others: the largest share of the cores that other processes took; None where unknown.
+        others: largest fraction of the cores that other processes used; None if unknown.
     """
 
     batches: Sequence[int]
@@ -456,17 +456,17 @@ class FkLibraries:
         device = str(context.store.environment["device"])
         return Outcome(
             f"Fingertips of {hand.name} ({len(hand.joint_names)} joints) in its palm frame, from "
-            "the same random poses within the limits, given beforehand in the form that each "
-            "library likes best; the model of Pinocchio and PyTorch Kinematics is URDF that is "
-            "written from the compiled one. Before the clock starts each must agree with MuJoCo's "
-            f"own kinematics on {CHECKED} poses to {1e6 * AGREEMENT:g} µm. Warm; libraries take "
-            f"turns, {context.size.fk_rounds} rounds, and are compared round by round; a "
-            f"round is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the "
-            "rounds of this run on this machine, and say nothing of another. Ours, MJX and PyTorch "
-            f"Kinematics compute in float32 and on as many threads as they like ({device}); "
-            "Pinocchio and MuJoCo C in float64, a pose at a time in a Python loop, since they have "
-            "no batch."
-            + "".join(f" {name}: {why}, so there is a gap." for name, why in timing.gaps.items()),
+            "the same random poses within the limits, converted beforehand to the form that suits "
+            "each library best; Pinocchio and PyTorch Kinematics read a URDF file that is "
+            "written from the compiled model. Before timing, each must agree with MuJoCo's own "
+            f"kinematics on {CHECKED} poses to {1e6 * AGREEMENT:g} µm. Compiling is not timed. "
+            f"Libraries take turns for {context.size.fk_rounds} rounds, and are compared round by "
+            f"round; a round is the median of calls in {1e3 * SLICE_S:g} ms. Intervals are over "
+            "the rounds of this run on this machine, and do not apply to others. Ours, MJX "
+            "and PyTorch Kinematics compute in float32 on as many threads as they choose "
+            f"({device}); Pinocchio and MuJoCo C compute in float64, one pose at a time in a "
+            "Python loop, because they have no batches."
+            + "".join(f" {name} is missing: {why}." for name, why in timing.gaps.items()),
             [_paper_verdict(timing), _own_verdict(timing)],
             [_table(timing)],
             [
@@ -492,7 +492,7 @@ class FkLibraries:
 
 
 def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
-    """Times the libraries that are installed and agree; the others are gaps with a reason."""
+    """Times the libraries that are installed and agree; gives a reason for each of the others."""
     gaps = {name: why for name in LIBRARIES if (why := missing(name)) is not None}
     library: Callable[[str], Library] = cache(lambda name: make_library(name, hand))
     here = [name for name in LIBRARIES if name not in gaps]
@@ -562,12 +562,12 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
 def rounds_of(
     runs: Mapping[str, Run], rounds: int, done: Callable[[], None]
 ) -> dict[str, list[float]]:
-    """Times of calls that take turns, so that noise of the machine affects all alike.
+    """Times calls that take turns, so that disturbances of the machine affect all equally.
 
     Args:
-        runs: name -> what is timed.
-        rounds: how many; who begins changes from one to the next.
-        done: called after each.
+        runs: name -> function that is timed.
+        rounds: number of rounds; each round begins with another one.
+        done: called after each round.
 
     Returns:
         name -> one time for each round [s].
@@ -600,7 +600,7 @@ def _paper_verdict(timing: Timing) -> Verdict:
     absent = [name for name in (MJX, PINOCCHIO, PYTORCH) if name not in timing.per_pose]
     claim = f"MJX is the fastest of the three at large batches ({largest:,} here)"
     gaps = "; ".join(f"{name}: {timing.gaps[name]}" for name in absent)
-    note = f"Missing here: {gaps}. `{INSTALL}` brings them." if absent else ""
+    note = f"Missing here: {gaps}. `{INSTALL}` installs them." if absent else ""
     if MJX not in timing.per_pose or not rivals:
         return Verdict(claim, "fastest, no figure", "not measured", "not shown", note)
     ratios = {name: timing.over(name, MJX, largest) for name in rivals}

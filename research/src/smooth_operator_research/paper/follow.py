@@ -46,8 +46,8 @@ from smooth_operator_research.paper.intervals import (
 )
 
 LEAD: Final = 20
-"""The first frame is shown so many times before the clock starts, so that what a method does until
-it has settled, from its neutral pose, is not counted."""
+"""Number of times that the first frame is shown before measuring starts, so that the motion of a
+method from its neutral pose until it has settled does not count."""
 
 FEWEST: Final = 12
 """Smallest number of frames for a meaningful jitter or lag."""
@@ -55,12 +55,12 @@ FEWEST: Final = 12
 
 @dataclass(frozen=True, eq=False)
 class DegradedRecording:
-    """A recording as the tracker shows it, and as it really was.
+    """A recording as a degraded tracker shows it, and the true motion.
 
     Attributes:
-        source: where it is from.
-        clean: T frames, as they were.
-        seen: LEAD + T frames, as the tracker gave them; what was lost is not valid.
+        source: source of the recording.
+        clean: the T true frames.
+        seen: LEAD + T frames, as the tracker gave them; lost frames are not valid.
     """
 
     source: Source
@@ -103,8 +103,8 @@ def through_tracker(
 ) -> DegradedRecording:
     """Simulates a tracker with losses and white noise, unlike that of real trackers.
 
-    A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
-    command anyway. The recording's own noise, where a real tracker made it, is in both.
+    A lost frame stays in place without valid landmarks, as for a loop that must send a command
+    anyway. The noise of a real recording remains in both the clean and the seen frames.
 
     Args:
         noise: standard deviation of white noise of each coordinate of every landmark [m].
@@ -132,15 +132,15 @@ def through_tracker(
 def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording | None:
     """Resamples a motion at another frame rate.
 
-    The built-in operator is recorded again, so that nothing is interpolated. Of another
-    recording the frames nearest to the ticks are taken with their own stamps.
+    The built-in operator is recorded again, so that nothing is interpolated. From other
+    recordings, the frames nearest to the ticks are taken with their own timestamps.
 
     Args:
-        rate_hz: frames a second.
-        seconds: how much of its middle.
+        rate_hz: frames per second.
+        seconds: length of the part from the middle that is used.
 
     Returns:
-        None where the recording has not as many frames a second.
+        None if the recording has fewer frames per second.
     """
     recording = recording_of(source)
     begin = float(recording.stamps[0]) + max(0.0, (recording.duration - seconds) / 2)
@@ -168,7 +168,7 @@ def nearest_frames(
 
 
 def led(recording: HandRecording) -> HandRecording:
-    """Repeats the first frame of a recording LEAD times in front, at its own rate."""
+    """Inserts the first frame of a recording LEAD times at its beginning, at its own rate."""
     period = 1.0 / recording.rate_hz
     first = np.zeros(LEAD, int)
     led = _chosen(recording, np.concatenate([first, np.arange(len(recording))]), check=False)
@@ -206,12 +206,11 @@ def sub_frame_lag(
 ) -> tuple[float, float]:
     """Delay that best aligns the fingertip velocities of human and robot, and its correlation.
 
-    ``lag`` counts whole frames, refines by a parabola and
-    says 0 for all that is under half a frame; at 15 Hz that is 33 ms. Here cubic splines are laid
-    through the commands and through the human's motion, and their velocities are shifted against
-    each other in steps of 2 ms, to either side of nothing. What both splines smooth away is the
-    same, so it moves neither. The stamps are those of the frames that commands answer: neither the
-    time of computing nor that of holding a command till the next is in it.
+    ``lag`` counts whole frames, refines by a parabola and gives 0 for delays under half a frame,
+    which is 33 ms at 15 Hz. Here, cubic splines interpolate the commands and the human's motion,
+    and their velocities are shifted against each other in steps of 2 ms, in both directions. Both
+    splines smooth equally, so this adds no delay. Each command has the timestamp of its frame, so
+    the lag contains neither the computing time nor the time until the next command.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
@@ -219,8 +218,8 @@ def sub_frame_lag(
         stamps: (T,) strictly increasing times [s].
 
     Returns:
-        The lag [ms], negative where the robot is ahead, and the Pearson correlation there; both NaN
-        where there is too little motion or time to tell.
+        The lag [ms], negative if the robot is ahead, and the Pearson correlation there; both NaN
+        if there is too little motion or time.
     """
     from scipy.interpolate import CubicSpline
 
@@ -260,8 +259,8 @@ PUBLISHED_SBR: Final = "sbr:paper"
 """Label of the paper's method with the paper's settings."""
 
 BASELINES: Final = ("dexpilot", "geort", "hybrid")
-"""Labels of the baselines in the paper's table, with their authors' settings; GeoRT with our
-model."""
+"""Labels of the baselines in the paper's table, with their authors' settings (GeoRT: with our
+model)."""
 
 METHODS: Final = (PUBLISHED_SBR, *BASELINES, "sbr", "smooth", "ako", "joint_angle")
 """Methods of the paper's table as published, and ours."""
@@ -272,12 +271,12 @@ _EFFORT_MS: Final = {
     "dexpilot": 8.0,
     "hybrid": 8.0,
 }
-"""Approximate time of a frame [ms], to estimate the remaining time; 0.7 for others."""
+"""Approximate time of a frame [ms], to estimate the remaining time; 0.7 for other methods."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """The methods that can serve a hand.
+    """The methods that can be used with a hand.
 
     Attributes:
         choices: label -> method.
@@ -293,7 +292,7 @@ class Field:
 
 
 def field_of(context: ExperimentContext, names: Sequence[str] = METHODS) -> Field:
-    """Selects the methods that can serve the hand."""
+    """Selects the methods that can be used with the hand."""
     choices: dict[str, Choice] = {}
     gaps: dict[str, str] = {}
     hand = load_hand(context.hand, context.sources[0].side)
@@ -306,7 +305,7 @@ def field_of(context: ExperimentContext, names: Sequence[str] = METHODS) -> Fiel
             gaps[label] = str(error)
     if not choices:
         raise ConfigError(
-            f"no method can serve the hand {hand.name!r}: {next(iter(gaps.values()))}"
+            f"no method can be used with hand {hand.name!r}: {next(iter(gaps.values()))}"
         )
     return Field(choices, gaps)
 
@@ -372,9 +371,9 @@ def measure_following(
     Returns:
         ``cosine_similarity`` (thumb to tips), ``motion_preservation``, ``flatness`` [m²],
         ``jitter`` [rad], ``acceleration`` [rad/s²], ``tip_acceleration`` [m/s²], ``step`` (largest
-        of a joint in a frame) [rad], ``held``: share of frames whose command repeats the last; with
-        ``timing``, which takes longer than all of these, ``lag_ms`` and ``correlation`` of the
-        velocities there. NaN where there is none.
+        step of a joint in a frame) [rad], ``held`` (fraction of frames whose command repeats the
+        last one); with ``timing``, which takes longer than all others, also ``lag_ms`` and
+        ``correlation`` (of the velocities at that lag). Unknown values are NaN.
     """
     q = np.asarray(cell["q"], float)
     trace = Trace(
@@ -445,10 +444,10 @@ class Sweep:
     """Methods over conditions, recordings and seeds.
 
     Attributes:
-        conditions: in their order; what they are is the experiment's.
+        conditions: conditions of the experiment, in order.
         labels: names of the methods.
-        measured: (label, condition, recording) -> one set of figures for each seed.
-        human: (condition, recording) -> the same of the human.
+        measured: (label, condition, recording) -> one set of metrics for each seed.
+        human: (condition, recording) -> the same metrics of the human.
         units: name of a recording -> the independent unit that it belongs to.
     """
 
@@ -459,8 +458,8 @@ class Sweep:
     units: Mapping[str, str]
 
     def mean(self, label: str, condition: Any, metric: str) -> Estimate | None:
-        """Mean with an interval, geometric for figures of smoothness; None if no recording has
-        it."""
+        """Mean with an interval, geometric for metrics of smoothness; None if no recording has
+        the metric."""
         return self._averaged(self.known(label, condition, metric), metric)
 
     def human_mean(self, condition: Any, metric: str) -> Estimate | None:
@@ -468,7 +467,7 @@ class Sweep:
         return self._averaged(_known(self.human, (condition,), self.units, metric), metric)
 
     def known(self, label: str, condition: Any, metric: str) -> dict[str, list[float]]:
-        """Recording -> its figure by seed, without recordings that lack it."""
+        """Maps recordings to their values by seed, without recordings that lack the metric."""
         return _known(self.measured, (label, condition), self.units, metric)
 
     def _averaged(self, values: Mapping[str, list[float]], metric: str) -> Estimate | None:
@@ -521,7 +520,7 @@ def run_sweep(
 
     Args:
         inputs: (condition, recording) -> one degraded recording for each seed.
-        timing: measure the lag, too.
+        timing: True to measure the lag, too.
     """
     # recording by recording, so that a run which is stopped has whole comparisons
     order = [

@@ -66,11 +66,11 @@ class HessianDirections:
         ranked = [ranked_jitter(one, vectors) for one in (without, held)]
         return Outcome(
             setup_of(without, context.size)
-            + " The Hessian of the loss is taken at single-start SLSQP's answers without velocity "
-            "term, the same for all solvers, and its eigenvectors are ranked in every frame, rank "
-            "1 the flattest; jitter along a rank is the mean |second difference of q, projected "
-            "on the rank's eigenvector|. The velocity term adds 2 w_v to every eigenvalue and "
-            "leaves the eigenvectors as they are.",
+            + " For all solvers, the Hessian of the loss is computed at the solutions of "
+            "single-start SLSQP without velocity term. In every frame, its eigenvectors are ranked "
+            "(rank 1 is the flattest). Jitter along a rank is the mean |second difference of q, "
+            "projected on the rank's eigenvector|. The velocity term adds 2 w_v to every eigenvalue and does "
+            "not change the eigenvectors.",
             [
                 _stiff_verdict(without, ranked[0]),
                 _flat_verdict(without, ranked[0]),
@@ -80,8 +80,8 @@ class HessianDirections:
             [
                 Drawing(
                     "hessian",
-                    "Left and middle: joint jitter along each eigenvector of the loss's Hessian, "
-                    "rank 1 the flattest, without and with the velocity term; means over "
+                    "Left and middle: joint jitter along each eigenvector of the loss's Hessian "
+                    "(rank 1 is the flattest), without and with the velocity term; means over "
                     "recordings and seeds. Right: the eigenvalues, median and central 80 % of all "
                     "frames.",
                     hessian_figure([without, held], ranked, spectra),
@@ -106,7 +106,7 @@ def hessian_figure(
     """Draws the jitter by rank, without and with the velocity term, and the spectrum.
 
     Args:
-        ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
+        ranked: without and with the term: label -> recording -> seed -> (m,) jitter by rank [rad].
         spectra: (T, m) eigenvalues of each recording, ascending.
     """
     from matplotlib.figure import Figure
@@ -205,11 +205,11 @@ def hessians(
     """Exact Hessians of the loss without velocity term, and the error of finite differences.
 
     Args:
-        q: (T, m) where [rad].
+        q: (T, m) poses [rad].
 
     Returns:
-        (T, m, m), in float64; and the largest difference to central differences of the gradient,
-        over the largest entry of the Hessian, among some frames.
+        (T, m, m) Hessians in float64; and, over some frames, the largest difference to central
+        differences of the gradient, relative to the largest entry of the Hessian.
     """
 
     def derivatives(q: Any, vectors: Any, weights: Any) -> Any:
@@ -302,8 +302,8 @@ def _stiff_verdict(comparison: Comparison, ranked: Ranked) -> Verdict:
         "“closely matched”, no figure",
         _listed(ratios),
         judge(Equality(1 / MATCHED, MATCHED), list(ratios.values())),
-        "Over the stiffest third of the ranks and without velocity term, in the jitter of "
-        f"sampling; matched means within a factor of {MATCHED:g}.",
+        "Jitter relative to that of sampling, over the stiffest third of the ranks, without "
+        f"velocity term; matched means within a factor of {MATCHED:g}.",
     )
 
 
@@ -328,8 +328,8 @@ def _flat_verdict(comparison: Comparison, ranked: Ranked) -> Verdict:
         "“a stark divergence”, no figure",
         _listed(ratios),
         judge(Direction(1.0, upwards=True), [*ratios.values(), *excess.values()]),
-        "Over the flattest third of the ranks and without velocity term; the ratios must exceed 1 "
-        "and those of the stiff third. Newton, a gradient-based solver too, has "
+        "Over the flattest third of the ranks, without velocity term; the ratios must exceed 1 "
+        "and those of the stiff third. Newton, which also uses gradients, has "
         f"{newton.shown(3)} times the jitter of sampling there.",
     )
 

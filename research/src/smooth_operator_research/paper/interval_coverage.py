@@ -1,8 +1,8 @@
 """Coverage of the intervals of the paper's experiments, by simulation.
 
-Log ratios of independent recordings are drawn about no effect at all, from several distributions,
-and given to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in
-95 % of the draws; a direction that is shown is then an error.
+Log ratios of independent recordings are drawn from several distributions without any effect, and
+given to the project's own `contrast` and judge. A 95 % interval should contain the true value in
+95 % of the draws; every direction that is found is an error.
 
     python -m smooth_operator_research.paper.interval_coverage
 """
@@ -60,9 +60,9 @@ def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool =
     """Judges draws without an effect.
 
     Args:
-        count: independent recordings.
-        windows: parts that each recording is cut into, which share its log ratio.
-        alone: count the parts as independent recordings, which they are not.
+        count: number of independent recordings.
+        windows: number of parts of each recording, which share its log ratio.
+        alone: True to count the parts as independent recordings, which they are not.
     """
     rng = np.random.default_rng(0)
     total = count * windows
@@ -81,7 +81,7 @@ def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool =
 
 
 def coverage_table(settings: Settings) -> Table:
-    """Distributions by numbers of recordings."""
+    """Makes the table of coverage: a row per distribution, a column per number of recordings."""
 
     def cells(draw: Draw, windows: int = 1, alone: bool = False) -> list[str]:
         rows = [coverage(draw, n, settings.draws, windows, alone) for n in settings.counts]
@@ -95,8 +95,8 @@ def coverage_table(settings: Settings) -> Table:
         "Coverage",
         ["log ratios of recordings", *(f"n = {n}" for n in settings.counts)],
         rows,
-        f"{settings.draws:,} draws for each cell: how often the interval of 95 % holds the truth. "
-        "In the other draws a direction is shown where there is none.",
+        f"{settings.draws:,} draws for each cell: how often the 95 % interval contains the true "
+        "value. In the other draws, a direction is found although there is none.",
     )
 
 

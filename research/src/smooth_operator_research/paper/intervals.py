@@ -1,9 +1,9 @@
 """Means and contrasts over independent recordings, with Student's t intervals.
 
-An independent unit is a person at a tracker: one file, or the built-in operator of one seed. Parts
-of one recording share their hand, their tracker and their habits, so they are averaged and count as
-one unit, and so do the seeds of a random solver. ``interval_coverage`` shows by simulation how
-often these intervals hold the truth.
+An independent unit is a person with a tracker: one file, or the built-in operator of one seed.
+Parts of one recording share their hand, their tracker and their habits, so they are averaged and
+count as one unit. The seeds of a random solver are averaged in the same way. By simulation,
+``interval_coverage`` shows how often these intervals contain the true value.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxtyping import Float
 Contrast: TypeAlias = Literal["ratio", "change", "difference"]
 
 LEVEL: Final = 0.95
-"""Share of intervals that contain the truth."""
+"""Fraction of the intervals that should contain the true value."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Samples:
     """Values of a figure for each recording and seed.
 
     Attributes:
-        values: by recording, then by seed; a solver without chance has one seed.
+        values: by recording, then by seed; a deterministic solver has one seed.
         units: independent unit of each recording.
     """
 
@@ -56,15 +56,15 @@ def independent(values: Sequence[float]) -> Samples:
 class Estimate:
     """The mean of independent units with its 95 % interval (Student's t).
 
-    The units are averaged on the scale of ``points``; what is shown is
+    The units are averaged on the scale of ``points``; the value shown is
     ``factor * f(mean) + offset``, where f is exp for a logarithmic scale.
 
     Attributes:
-        points: one for each independent unit.
-        log: are they logarithms?
-        factor, offset: from that scale to what is shown.
-        value: the figure.
-        low, high: ends of the interval; None where there is one unit, or a point is not finite.
+        points: one value for each independent unit.
+        log: True if these are logarithms.
+        factor, offset: conversion from that scale to the value shown.
+        value: the mean, as shown.
+        low, high: ends of the interval; None for one unit, or if a point is not finite.
     """
 
     points: tuple[float, ...]
@@ -90,8 +90,8 @@ class Estimate:
         """The ends of the interval.
 
         Args:
-            among: number of intervals that are to hold the truth together with the
-                level's probability (Bonferroni): the interval is wider for more.
+            among: number of intervals that together should contain their true values with the
+                level's probability (Bonferroni); more intervals are wider.
         """
         points = np.asarray(self.points)
         count = len(points)
@@ -137,7 +137,7 @@ def mean_of(samples: Samples) -> Estimate:
 def typical(samples: Samples) -> Estimate:
     """Geometric mean over independent units, for positive figures of very different size.
 
-    Its ratio between two methods is their ``contrast``. Where a figure is zero there is no
+    The ratio of two methods' means is their ``contrast``. If a value is zero, there is no
     interval.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -149,8 +149,8 @@ def contrast(a: Samples, b: Samples, kind: Contrast) -> Estimate:
 
     Args:
         a, b: samples of the same recordings in the same order.
-        kind: ``ratio``: geometric mean of a / b; ``change``: that less 1; ``difference``: mean of
-            a - b.
+        kind: ``ratio``: geometric mean of a / b; ``change``: that ratio minus 1; ``difference``:
+            mean of a - b.
     """
     return pooled([(a, b)], kind)
 

@@ -1,6 +1,6 @@
-"""NLopt's SLSQP within bounds, which the supplement's comparison of solvers names.
+"""NLopt's SLSQP within bounds, as named in the supplement's comparison of solvers.
 
-Its result is the best evaluated point, whatever the reason of the stop.
+Its result is the best point that was evaluated, for whatever reason it stopped.
 """
 
 from __future__ import annotations

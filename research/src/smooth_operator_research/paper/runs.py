@@ -3,8 +3,8 @@ solution.
 
 A problem has the targets of every frame, computed once for all solvers.
 
-The latches of DexPilot's targets hang on the human hand alone, so that targets and weights do not
-depend on who solves them; only the start of a frame, the answer to the last one, does.
+The latches of DexPilot's targets depend on the human hand only, so targets and weights are the same
+for all solvers; only the start of a frame, the solution of the previous one, differs.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ class Problem:
     Attributes:
         name: name of the recording.
         unit: the independent unit that it belongs to.
-        objective: what is minimised; its hand and weights.
+        objective: the minimised objective, with its hand and weights.
         vectors: (T, K, 3) targets [m].
         weights: (T, K) their weights.
-        start: (m,) where every solver begins: the minimum of the first frame [rad].
-        stamps: (T,) [s].
-        frames: which frames of the recording these are.
+        start: (m,) start of every solver: the minimum of the first frame [rad].
+        stamps: (T,) times [s].
+        frames: the frames of the recording that are used.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Problem:
         return total.hexdigest()
 
     def goal(self, t: int, previous: Float[np.ndarray, " m"], velocity_weight: float) -> FrameGoal:
-        """Goal of frame t after a solution."""
+        """Goal of frame t, given the solution of the previous frame."""
         return FrameGoal(
             jnp.asarray(self.vectors[t], jnp.float32),
             jnp.asarray(self.weights[t], jnp.float32),
@@ -142,7 +142,7 @@ def make_problems(
     Args:
         sources: recordings.
         hand: name of the robot hand.
-        frames: the most of each recording.
+        frames: largest number of frames of each recording.
     """
     return [make_problem(s, hand, config, frames) for s in sources if s.recording is not None]
 
@@ -241,7 +241,7 @@ CHUNK: Final = 20
 
 Arrays = dict[str, np.ndarray]
 Advance = Callable[[float], None]
-"""Function of the share of a cell that was done since the last call."""
+"""Function of the fraction of a cell that was done since the last call."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,10 +249,10 @@ class Run:
     """Solutions of a problem by a solver.
 
     Attributes:
-        q: (T, m) its answers [rad].
-        frame_ms: (C,) time a frame, one number for each call of the program [ms].
+        q: (T, m) the solutions [rad].
+        frame_ms: (C,) time per frame, one number for each call of the program [ms].
         evaluations: (T,) iterations or evaluations of each frame.
-        others: share of the cores that other processes took meanwhile; NaN where unknown.
+        others: fraction of the cores that other processes used meanwhile; NaN if unknown.
     """
 
     q: Float[np.ndarray, "T m"]
@@ -274,10 +274,10 @@ def measure_run(problem: Problem, run: Run, velocity_weight: float) -> dict[str,
     """Measures a run.
 
     Returns:
-        ``loss``: mean tracking loss, the first term of Eq. (1); ``cost``: mean of all of it;
+        ``loss``: mean tracking loss, the first term of Eq. (1); ``cost``: mean of all terms;
         ``jitter``: mean |second difference| of the joint positions [rad], coupled joints included;
-        ``acceleration``: the same over time squared [rad/s²]; ``frame_ms``: median time a frame;
-        ``evaluations``: mean.
+        ``acceleration``: jitter over time squared [rad/s²]; ``frame_ms``: median time per frame;
+        ``evaluations``: mean number of evaluations.
     """
     joints = problem.hand.full_configuration(run.q)
     jitter = joint_jitter(joints)
@@ -302,8 +302,8 @@ def run_solver(
     """Runs a solver over a recording.
 
     Args:
-        velocity_weight: w_v; the objective's own is not looked at.
-        advance: called with the share that was done.
+        velocity_weight: w_v, used instead of the objective's own.
+        advance: called with the fraction that was done.
     """
     watch = Watch()
     if isinstance(solver, Slsqp):

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The solvers on one objective.
+    """Results of the solvers on one objective.
 
     Attributes:
         velocity_weight: w_v of the objective.
@@ -72,7 +72,7 @@ class Comparison:
         return [problem.unit for problem in self.problems]
 
     def samples(self, label: str, metric: str) -> Samples:
-        """A figure of a solver, by recording and seed."""
+        """Values of one metric of a solver, by recording and seed."""
         return Samples(
             [
                 [self._measured[label, r, s][metric] for s in range(len(seeds))]
@@ -82,7 +82,7 @@ class Comparison:
         )
 
     def mean(self, label: str, metric: str) -> Estimate:
-        """Geometric mean of a figure, with an interval."""
+        """Geometric mean of a metric, with an interval."""
         return typical(self.samples(label, metric))
 
     @cached_property
@@ -127,9 +127,9 @@ class Comparison:
             ),
             rows,
             f"Geometric means over {len(set(self.units))} independent recordings with 95 % "
-            "intervals. Tracking loss: first term of Eq. (1); objective: all of it, which is what "
-            "is minimised. Jitter: mean |q(t+1) + q(t−1) − 2 q(t)| over frames and joints. "
-            "Evaluations: of a start, cycles for sampling, steps for Newton. " + self._about_time(),
+            "intervals. Tracking loss: first term of Eq. (1); objective: all terms, which the "
+            "solvers minimise. Jitter: mean |q(t+1) + q(t−1) − 2 q(t)| over frames and joints. "
+            "Evaluations: per start; cycles for sampling, steps for Newton. " + self._about_time(),
         )
 
     def _about_time(self) -> str:
@@ -231,15 +231,14 @@ def setup_of(comparison: Comparison, size: Size) -> str:
         + (f", w_v {comparison.velocity_weight:g}" if comparison.velocity_weight else "")
         + f") on {hand.name}, {frames:,} frames of {recordings_of(comparison.units)}, "
         f"{counted(size.seeds, 'seed')} of each random solver. Every solver begins a recording at "
-        "the same "
-        "minimum and a frame at its own last answer, within the same joint limits; descending ones "
-        "stop where an iteration gains less than 1e-6 or after 100 evaluations, “SLSQP, published "
-        "limit” (SciPy's) after 20 iterations. Algorithm 1 has "
+        "the same minimum, and a frame at its own last solution, within the same joint limits. "
+        "Descent methods stop if an iteration gains less than 1e-6 or after 100 evaluations, "
+        "“SLSQP, published limit” (SciPy's) after 20 iterations. Algorithm 1 has "
         f"N = {size.samples:,}, L = {size.cycles}. The step of RMSProp and the tuned initial "
         "deviation of sampling are those with the lowest mean objective on "
         f"{size.tuning_frames} frames of another operator (synthetic:{TUNING_OPERATOR}), which is "
-        "not judged. The batched forms run N starts, scattered by 0.2 rad about the last answer, "
-        "and take the softmax (0.1) of their outputs." + less
+        "not judged. The batched forms run N starts, scattered by 0.2 rad around the last "
+        "solution, and average their outputs by softmax (temperature 0.1)." + less
     )
 
 
@@ -247,7 +246,7 @@ PAPER_REDUCTION: Final = -0.364
 """Change of jitter from SLSQP to sampling (supplement, figure of the base optimisation)."""
 
 LOSS_MARGIN: Final = 0.05
-"""Mean losses that differ by less than this share count as equal."""
+"""Mean losses that differ by less than this fraction count as equal."""
 
 
 _PANELS: Final = (
@@ -262,7 +261,7 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
     figure.
 
     Args:
-        several: one, or the one without and the one with a velocity term.
+        several: one comparison, or the two without and with a velocity term.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -344,12 +343,12 @@ class SolverSwap:
 
 
 def change(comparison: Comparison, label: str, other: str, metric: str) -> Estimate:
-    """Relative change of a figure from another solver to this one."""
+    """Relative change of a metric from another solver to this one."""
     return contrast(comparison.samples(label, metric), comparison.samples(other, metric), "change")
 
 
 def changes_of(comparison: Comparison, metric: str) -> dict[str, Estimate]:
-    """Relative change of a figure from every form of SLSQP to sampling."""
+    """Relative change of a metric from every form of SLSQP to sampling."""
     return {
         other: change(comparison, SAMPLING, other, metric)
         for other in comparison.solver_grid.of("slsqp")
@@ -391,14 +390,14 @@ def _printed_verdict(comparison: Comparison) -> Verdict:
     return _jitter_verdict(
         comparison,
         "the same, with the squared norm that the supplement prints",
-        "The released code and the paper's figures have smooth-L1. Squared metres are smaller "
-        "against SLSQP's tolerance of 1e-6 and the sampler's temperature of 0.1: SLSQP stands "
-        f"still on {100 * stops:.0f} % of frames, sampling on {100 * still:.0f} %.",
+        "The released code and the paper's figures use smooth-L1. Squared metres are small "
+        "compared with SLSQP's tolerance of 1e-6 and the sampler's temperature of 0.1: SLSQP does "
+        f"not move in {100 * stops:.0f} % of the frames, sampling in {100 * still:.0f} %.",
     )
 
 
 def frozen(q: Float[np.ndarray, "T m"]) -> float:
-    """Share of frames in which no joint moves."""
+    """Fraction of frames in which no joint moves."""
     return float((np.abs(np.diff(q, axis=0)).max(axis=1) <= JOINTS_STILL).mean())
 
 
@@ -437,7 +436,7 @@ def tuning_table(comparison: Comparison) -> Table:
 VELOCITY_WEIGHT: Final = 0.05
 PAPER_FACTOR: Final = 7.18
 PAPER_LOSS: Final = 0.0232
-"""The paper's ratio of jitter without to with the term, and the loss that the term adds."""
+"""The paper's ratio of jitter without the term to jitter with it, and the loss that it adds."""
 
 COMPARABLE: Final = 1.25
 """Jitters that differ by less than this factor count as comparable."""

@@ -62,7 +62,7 @@ def contours(points: Sequence[Point], fewest: int = 3) -> list[list[Point]]:
     """Cells of equal N x L, from the widest (largest N) to the deepest (largest L).
 
     Args:
-        fewest: contours with fewer cells have no middle, and are left out.
+        fewest: smallest number of cells; shorter contours have no middle and are left out.
 
     Returns:
         The contours, by budget.
@@ -100,7 +100,7 @@ class SolverGrid:
 
     Attributes:
         solvers: label -> solver, in the order of tables.
-        tuning: how the settings of some were found.
+        tuning: results of the tuning of some solvers.
     """
 
     solvers: dict[str, Solver]
@@ -124,7 +124,7 @@ class SolverGrid:
 def make_solver_grid(context: ExperimentContext, velocity_weight: float) -> SolverGrid:
     """Makes the solvers for a size, and tunes those with a step size for the objective.
 
-    The cost that they are tuned for is the objective's own mean, never jitter.
+    They are tuned for the lowest mean objective, never for jitter.
     """
     size = context.size
     tuned = [

@@ -35,11 +35,11 @@ class Settings:
 
     Attributes:
         output: folder of the results.
-        experiments: names.
-        recordings: as ``benchmark.recordings`` takes them; the built-in operator
-            where there are none.
+        experiments: names of the experiments.
+        recordings: recordings, in the form for ``benchmark.recordings``; the built-in operator
+            if there are none.
         hand: name of the robot hand.
-        frames: ``A:B`` of each recording that brings no range.
+        frames: range ``A:B`` for each recording that has no range of its own.
         size: quick, default or published.
     """
 
@@ -88,12 +88,12 @@ def run_experiments(
     Args:
         sources: result of ``load_recordings``.
         track: shows the progress.
-        done: called after each.
-        note: called with kept cells that can't be used.
+        done: called after each experiment.
+        note: called with a message about stored cells that can't be used.
 
     Raises:
         SmoothOperatorError: the hand is unknown, a recording unusable, or a file can't be written.
-        KeyboardInterrupt: stopped; what is finished is kept.
+        KeyboardInterrupt: stopped; finished results are kept.
     """
     store = ExperimentFolder(
         settings.output,

@@ -32,7 +32,7 @@ from smooth_operator_research.paper.intervals import Estimate
 from smooth_operator_research.paper.verdicts import Direction, Equality, Verdict, judge
 
 NOISE: Final = 1e-3
-"""Noise of the verdicts [m], that of a glove or a good camera, or the nearest available."""
+"""Noise at which claims are judged [m], as of a glove or a good camera; or the nearest value."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Condition:
 
     Attributes:
         noise: standard deviation of each coordinate of each landmark [m].
-        loss: share of frames that never arrive.
+        loss: fraction of frames that never arrive.
     """
 
     noise: float = 0.0
@@ -86,13 +86,13 @@ class TrackerNoise:
             f"{context.recordings} at {' and '.join(map(str, rates))} Hz, "
             f"{counted(size.tracker_seeds, 'seed')} of the tracker for each condition. Noise is "
             "white and Gaussian, independent for each coordinate of each landmark and each frame; "
-            "frames are lost in bursts of 30 ms in the mean, whose commands repeat the last. "
-            "Methods see the bad tracker and are measured against the hand as it was; a "
-            "recording of a real tracker has its own noise "
-            f"in both. The first frame is shown {LEAD} times before anything counts. Those of "
-            "the paper's table are as their authors run them (sbr:paper, dexpilot:published, "
-            "hybrid:published), but for GeoRT, which has our model; the others are as they come "
-            f"here, sbr being our preset realtime.{field.note()}",
+            "frames are lost in bursts of 30 ms on average, in which commands repeat the last one. "
+            "Methods see the degraded tracker and are compared with the true hand; recordings of "
+            "real trackers have their own noise in both. The first frame is shown "
+            f"{LEAD} times before measuring starts. The methods of the paper's table have their "
+            "authors' settings (sbr:paper, dexpilot:published, hybrid:published), except GeoRT, "
+            "which has our model; the others have our default presets (for sbr, realtime)."
+            f"{field.note()}",
             [
                 _smooth_verdict(sweep, noises),
                 _step_verdict(sweep, losses),
@@ -105,8 +105,8 @@ class TrackerNoise:
             [
                 Drawing(
                     "noise",
-                    "Smoothness and fidelity over the tracker's noise (left) and over the share "
-                    "of lost frames (right). Grey: the human's own fingertips, as they were and "
+                    "Smoothness and fidelity over the tracker's noise (left) and over the fraction "
+                    "of lost frames (right). Grey: the human's own fingertips, the true ones and "
                     "as the methods see them. Bars: 95 % intervals over recordings.",
                     sweep_figure(
                         sweep.mean,
@@ -153,11 +153,15 @@ class FrameRate:
                     inputs[rate, source.name] = [degraded]
         if not inputs:
             raise RecordingError(
-                f"no recording has the {size.rates[0]:g} frames a second that this experiment "
-                "begins at"
+                f"no recording has {size.rates[0]:g} frames per second, the lowest rate of this "
+                "experiment"
             )
         sweep = run_sweep(context, "frame rate", field, inputs, timing=True)
-        gap = f" Recorded too slowly, and left out: {', '.join(slow)}." if slow else ""
+        gap = (
+            f" Left out, because the frame rate of the recording is lower: {', '.join(slow)}."
+            if slow
+            else ""
+        )
         seconds = sum(
             max(own[0].clean.duration for (_, name), own in inputs.items() if name == source.name)
             for source in context.sources
@@ -166,13 +170,13 @@ class FrameRate:
         return Outcome(
             f"{len(field.choices)} methods on {context.hand}, {seconds:.3g} s of "
             f"{context.recordings} at each rate. The built-in operator is recorded again "
-            "at each rate, the motion being the same; of other recordings frames are left out. "
-            "Accelerations are by the real stamps. Lag is the shift of cubic splines through the "
-            "commands against those through the human's motion that best aligns their velocities, "
-            "finer than a frame; the time of computing (latency) and of holding a command until "
-            "the next, half a period in the mean, come on top. No method knows the rate: weights "
-            f"of velocity terms are per frame, as published. The first frame is shown {LEAD} times "
-            f"before anything counts.{gap}{field.note()}",
+            "at each rate with the same motion; from other recordings, frames are left out. "
+            "Accelerations use the real timestamps. Lag is the shift between cubic splines through "
+            "the commands and through the human's motion that best aligns their velocities; it is "
+            "finer than a frame. The computing time (latency) and the time until the next command "
+            "(half a period on average) add to it. No method knows the rate: weights of "
+            f"velocity terms are per frame, as published. The first frame is shown {LEAD} times "
+            f"before measuring starts.{gap}{field.note()}",
             [_smooth_rate_verdict(sweep), _lag_verdict(sweep), _filter_verdict(sweep)],
             [_table(sweep, sweep.conditions, "Methods by frame rate")],
             [
@@ -239,13 +243,13 @@ _RATE_HEADERS: Final = (
 
 _NOISE_NOTE: Final = (
     "Means over independent recordings with 95 % intervals, geometric for jitter, flatness and "
-    "the largest step. Flatness and jitter belong to this frame rate, and include the human's "
+    "the largest step. Flatness and jitter depend on this frame rate, and include the human's "
     "own acceleration."
 )
 _RATE_NOTE: Final = (
     "Means over independent recordings with 95 % intervals, geometric for accelerations and "
-    "flatness. Flatness is the paper's, per frame and not per time, so compare it only within a "
-    "rate."
+    "flatness. Flatness is the paper's metric, per frame and not per time, so compare it only at "
+    "equal rates."
 )
 
 
@@ -294,14 +298,14 @@ def signed(change: Estimate, unit: str = "") -> str:
 def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
     """Verdict if the paper's SBR or all its rivals are missing."""
     absent = ", ".join(n for n in (PUBLISHED_SBR, *BASELINES) if n not in sweep.labels)
-    note = f"{absent or 'Nothing to compare'} missing on this hand."
+    note = f"Missing on this hand: {absent or 'methods to compare'}."
     return Verdict(claim, paper, "not measured", "not shown", note)
 
 
 def compared_verdict(
     claim: str, paper: str, figure: str, sweep: Sweep, ratios: dict[str, Estimate]
 ) -> Verdict:
-    """Verdict on the ratio of SBR's figure to those of the baselines, claimed to be below 1."""
+    """Verdict on the ratio of SBR's value to those of the baselines, claimed to be below 1."""
     if not ratios:
         return not_compared(claim, paper, sweep)
     held = judge(Direction(1.0, upwards=False), list(ratios.values()))
@@ -342,7 +346,7 @@ def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
         paper,
         f"motion preservation at {at}: {listed_changes(estimates)}",
         held,
-        "Compared with the hand without the noise.",
+        "Measured against the true hand, without the noise.",
     )
 
 
@@ -383,7 +387,7 @@ def _lag_verdict(sweep: Sweep) -> Verdict:
         judge(Equality(-1.0, 1.0), frames),
         f"At {at:g} Hz, the rate nearest to that of the paper's study, against the baselines: "
         f"{slower} ms. Methods without a memory (joint_angle, geort) can't lag: their lag in the "
-        "table is the error of the measure; where velocities hardly correlate, it says little.",
+        "table is the error of the measurement. If velocities hardly correlate, lag means little.",
     )
 
 
@@ -399,8 +403,8 @@ def _filter_verdict(sweep: Sweep) -> Verdict:
         "no claim",
         f"{low:g} Hz over {high:g} Hz: {signed(change, ' ms')}",
         judge(Direction(0.0, upwards=True), [change]),
-        "w_v pulls a command to the last one, whatever time is between them. If you change the "
-        "rate, scale w_v with it.",
+        "w_v pulls a command to the last one, regardless of the time between them. If you change "
+        "the rate, scale w_v with it.",
     )
 
 

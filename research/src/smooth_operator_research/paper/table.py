@@ -70,7 +70,7 @@ def settled(outcome: Execution) -> Execution:
 def table_latency(
     cells: Sequence[Cell], frames: int, advance: Callable[[float], None]
 ) -> dict[str, np.ndarray]:
-    """Median latency of each cell [ms], and the share of the cores that other processes used."""
+    """Median latency of each cell [ms], and the fraction of cores that other processes used."""
     for cell in cells:  # compiled before the machine is watched
         built_for(_plan(cell))
     latencies = measure_latency(cells, frames, 0, lambda cell: advance(1 / len(cells)))
@@ -96,7 +96,7 @@ PAPERS: Final = {
     "hybrid": "Hybrid",
     "sbr:paper": "SBR",
 }
-"""Our label -> the paper's label, in the order of its columns; all except GeoRT as published."""
+"""Maps our labels to the paper's, in the order of its columns; all except GeoRT as published."""
 
 METHODS: Final = (*PAPERS, "sbr", "keyvector", "ako", "joint_angle")
 LATENCY: Final = "latency_ms.p50"
@@ -121,13 +121,13 @@ Definition = str
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """Figures of all methods.
+    """Metrics of all methods.
 
     Attributes:
         labels: names of the methods.
-        values: (definition, label, metric) -> recording -> figure.
+        values: (definition, label, metric) -> recording -> value.
         units: name of a recording -> the independent unit that it belongs to.
-        others: the largest share of the cores that other processes took while latency was measured.
+        others: largest fraction of the cores that other processes used during latency runs.
     """
 
     labels: Sequence[str]
@@ -136,7 +136,7 @@ class Benchmark:
     others: float | None
 
     def each(self, definition: Definition, label: str, metric: Metric) -> dict[str, float]:
-        """Figure by recording, without recordings that lack it."""
+        """Values of a metric by recording, without recordings that lack it."""
         own = self.values.get((definition, label, metric.name), {})
         return {name: own[name] for name in self.units if name in own}
 
@@ -144,8 +144,8 @@ class Benchmark:
         return Samples([[value] for value in own.values()], [self.units[name] for name in own])
 
     def mean(self, definition: Definition, label: str, metric: Metric) -> Estimate | None:
-        """With an interval over independent recordings, geometric for what is to be small; None
-        where there is none."""
+        """Mean with an interval over independent recordings, geometric if smaller is better; None
+        without values."""
         own = self.each(definition, label, metric)
         over = typical if metric.goal == "down" else mean_of
         return over(self._samples(own)) if own else None
@@ -153,8 +153,8 @@ class Benchmark:
     def better(self, definition: Definition, a: str, b: str, metric: Metric) -> Estimate | None:
         """Advantage of a method over another by recording; positive is better.
 
-        For a figure that is to be small it is the share by which the other's is larger, else a
-        difference in the metric's unit; for one whose goal is 1 of the distance from it.
+        If smaller is better, it is the fraction by which the other's value is larger; otherwise a
+        difference in the metric's unit, of the distances from 1 if the goal is 1.
         """
         down = metric.goal == "down"
         x, y = (self.each(definition, label, metric) for label in (a, b))
@@ -168,7 +168,7 @@ class Benchmark:
         return contrast(others, mine, "change") if down else contrast(mine, others, "difference")
 
     def winners(self, definition: Definition, metric: Metric, labels: Sequence[str]) -> set[str]:
-        """Best of some methods, by the printed figures."""
+        """Best of some methods, by the printed values."""
         means = [self.mean(definition, label, metric) for label in labels]
         lines = [
             Line(label, {metric.name: None if mean is None else mean.value})
@@ -193,14 +193,14 @@ class BenchmarkTable:
         environment = context.store.environment
         return Outcome(
             f"{len(field.choices)} methods on {context.hand}, {frames:,} frames of "
-            f"{context.recordings}. DexPilot, Hybrid and SBR are as their authors run them "
-            "(dexpilot:published, hybrid:published, sbr:paper); GeoRT is ours, with the model that "
-            "comes with the hand; the others are as they come here. The first frame is shown "
-            f"{LEAD} times before anything counts, so that no method is measured on its way from "
-            "the neutral pose. Claims are judged by the paper's definitions of the metrics; the "
-            "table of all methods follows the sound ones (means, the human aligned as the method "
+            f"{context.recordings}. DexPilot, Hybrid and SBR have their authors' settings "
+            "(dexpilot:published, hybrid:published, sbr:paper); GeoRT is ours, with the hand's "
+            "built-in model; the others have our default presets. The first frame is shown "
+            f"{LEAD} times before measuring starts, so that no method is measured on its way from "
+            "the neutral pose. Claims are judged by the paper's definitions of the metrics; one "
+            "table of all methods uses our (sound) ones (means, the human aligned as the method "
             f"saw it, still frames masked). Latency is p50 over {size.latency_frames} frames of "
-            f"each recording, alone, methods taking turns, on {environment['cpu']}, "
+            f"each recording, with methods taking turns and nothing else, on {environment['cpu']}, "
             f"{environment['cpu_cores']} cores, {environment['device']}. "
             f"{PAPER_NOTE}{field.note()}",
             [_verdict(benchmark, metric, papers) for metric in HEADLINES],
@@ -213,7 +213,7 @@ class BenchmarkTable:
                 Drawing(
                     "table",
                     "The six metrics of all methods by the paper's definitions. Bars: 95 % "
-                    "intervals over recordings. Diamonds: the paper's figures for its four.",
+                    "intervals over recordings. Diamonds: the paper's values for its four.",
                     table_figure(_panels(benchmark), benchmark.labels),
                 )
             ],
@@ -320,8 +320,8 @@ def _verdict(benchmark: Benchmark, metric: Metric, papers: Sequence[str]) -> Ver
     first = order[0] if order else ""
     wins = judge(better, [estimate for pair, estimate in pairs.items() if first in pair])
     machine = (
-        " The paper's SBR ran on an RTX 4090, and the order between what runs on a processor and "
-        "what runs on an accelerator is the machine's."
+        " The paper's SBR ran on an RTX 4090; the order of methods on a CPU and methods on an "
+        "accelerator depends on the machine."
         if metric.name == LATENCY
         else ""
     )
@@ -331,8 +331,8 @@ def _verdict(benchmark: Benchmark, metric: Metric, papers: Sequence[str]) -> Ver
         " > ".join(f"{PAPERS[one]} {shown_value(metric, values[one])}" for one in ours),
         judge(better, list(pairs.values())),
         f"Of {len(judged)} pairs, with intervals widened for their number, {judged.count('held')} "
-        f"are shown to stand in the paper's order and {judged.count('did not hold')} in the "
-        f"opposite one. That {PAPERS.get(first, 'none')} is the best: {wins}.{machine}",
+        f"are significantly in the paper's order and {judged.count('did not hold')} in the "
+        f"opposite order. That {PAPERS.get(first, 'none')} is the best: {wins}.{machine}",
     )
 
 

@@ -1,7 +1,7 @@
 """Verdicts on the paper's claims, by fixed rules.
 
-The rules look at intervals, not at figures alone, and are the same for what suits the paper and for
-what does not. A wider interval about the same figure never gives a better verdict.
+The rules use intervals, not means alone, and are the same whether or not a result agrees with the
+paper. A wider interval around the same mean never gives a better verdict.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from smooth_operator_research.paper.intervals import Estimate
 Held: TypeAlias = Literal["held", "held in part", "mixed", "not shown", "did not hold"]
 
 SHARE: Final = 0.8
-"""The whole interval of an effect must lie beyond this share of the claimed size, logarithmic for
-ratios: a non-inferiority margin of a fifth."""
+"""The whole interval of an effect must lie beyond this fraction of the claimed size (logarithmic
+for ratios): a non-inferiority margin of a fifth."""
 
 RULES: Final = (
     "Intervals are Student's t over independent units: a file, or one operator of the built-in "
-    "ones; parts of one recording count as one. A direction is shown where the 95 % interval "
-    "leaves out no effect. A claim of a size held if the whole interval lies beyond four fifths of "
-    "the claimed effect (logarithmic for ratios), and held in part if the direction alone is "
+    "ones; parts of one recording count as one. A direction is shown if the 95 % interval "
+    "excludes no effect. A claim of a size held if the whole interval lies beyond four fifths of "
+    "the claimed effect (logarithmic for ratios), and held in part if only the direction is "
     "shown. A claim of equality held if the whole interval lies within the stated margin, and did "
     "not hold if all of it lies outside. A claim of several parts held if every part held, and "
     "held in part if every direction is shown. Otherwise each part is judged again with an "
     "interval that is widened for their number (Bonferroni): held in part if at least one part is "
-    "shown and none the other way round; mixed if some are shown and some the other way round; did "
-    "not hold if some are shown the other way round and none as claimed; not shown if none is "
-    "shown."
+    "shown and none in the opposite direction; mixed if parts are shown in both directions; did "
+    "not hold if parts are shown in the opposite direction and none as claimed; not shown if none "
+    "is shown."
 )
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One claim.
+    """The verdict on one claim of the paper.
 
     Attributes:
-        claim: in the paper's sense, one line.
-        paper: its figure.
-        ours: our figure with its interval.
-        held: whether it held.
+        claim: the claim in the paper's sense, in one line.
+        paper: the paper's value.
+        ours: our value with its interval.
+        held: whether the claim held.
         note: what a reader must know to judge it, besides the tables.
     """
 
@@ -61,11 +61,11 @@ class Judge(Protocol):
 
 @dataclass(frozen=True)
 class Direction:
-    """A figure lies on the claimed side of a value.
+    """Rule: a value lies on the claimed side of a limit.
 
     Attributes:
-        none: the value, of no effect or of the least that counts.
-        upwards: is it claimed to be larger?
+        none: the limit: the value without an effect, or the smallest that counts.
+        upwards: True if the value is claimed to be larger.
     """
 
     none: float
@@ -81,11 +81,11 @@ class Direction:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect exists and is about as large as claimed, or larger.
+    """Rule: an effect exists and is about as large as claimed, or larger.
 
     Attributes:
-        none: its value where there is no effect.
-        claimed: its value in the paper.
+        none: value without an effect.
+        claimed: value in the paper.
     """
 
     none: float
@@ -105,7 +105,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Equality:
-    """A figure lies within a margin.
+    """Rule: a value lies within a margin.
 
     Attributes:
         low, high: ends of the margin.
@@ -128,8 +128,8 @@ def judge(judging: Judge, estimates: Sequence[Estimate], missing: int = 0) -> He
     """Judges a claim of one or several parts.
 
     Args:
-        judging: judges a part.
-        missing: parts without a measurement: the claim can't hold as a whole then.
+        judging: the rule that judges a part.
+        missing: parts without a measurement; with any, the claim can't hold as a whole.
     """
     parts = len(estimates) + missing
     plain = [judging(one) for one in estimates]

@@ -1,1 +1,1 @@
-"""A study done by virtual operators in physics, trial by trial; no study with people."""
+"""Simulates a study with virtual operators in physics; it does not replace a study with people."""

@@ -44,11 +44,11 @@ class SimulationSettings:
     """Settings of a simulation.
 
     Attributes:
-        plan: who does what.
+        plan: plan of the study.
         hand: robot hand, which must be able to do the tasks.
-        body: whose kinematics the persons' hands have.
-        tracker: kind of tracker that they are before: ``glove``, ``headset`` or ``camera``; at the
-            plan's rate, if it has one. The retargeters know the pinch gaps of its kind.
+        body: kinematics of the persons' hands.
+        tracker: kind of tracker that sees them: ``glove``, ``headset`` or ``camera``; at the
+            plan's rate, if it has one. The retargeters know the pinch gaps of that kind.
         seed: seed of persons and trials.
     """
 
@@ -86,9 +86,9 @@ class Chunk:
     """Some consecutive trials of a block.
 
     Attributes:
-        settings: how the plan is simulated.
+        settings: settings of the simulation.
         block: the block of an operator.
-        trials: their numbers in the block.
+        trials: numbers of the trials in the block.
     """
 
     settings: SimulationSettings
@@ -232,10 +232,10 @@ def simulate_study(
     """Simulates every trial; continues an earlier run in the same folder.
 
     Args:
-        folder: keeps what is done, and gets the tables; must exist.
-        workers: processes; None for as many as there are cores, 0 for none.
+        folder: existing folder for finished trials and the tables.
+        workers: number of processes; None for one per core, 0 for none.
         report: called after each chunk of trials.
-        note: called with what is in the folder and can't be used.
+        note: called with a message about files in the folder that can't be used.
 
     Returns:
         Rows of the trials, in the order of the plan.
@@ -270,7 +270,7 @@ def simulate_study(
 
 
 def _code() -> str:
-    """Digest of what a trial depends on."""
+    """Digest of the code that a trial depends on."""
     return benchmark_code() + research_digest(
         "study_simulation", "virtual_operator", "demonstrations", "simulation", "synthetic"
     )
