@@ -5,11 +5,12 @@ r"""Makes a demonstration of a task for a robot hand, by search in physics.
 The first guess is the key poses of another hand, transferred by inverse kinematics of the
 fingertips, or those of a file. Separable CMA-ES (Ros and Hansen, "A Simple Modification in CMA-ES
 Achieving Linear Time and Space Complexity", PPSN 2008) then moves the key poses of thumb, index and
-middle finger and the times between them. Candidates are judged by how far they get in the unperturbed world and in
-perturbed ones, which are new in each generation: the object's pose, friction and mass differ, and
-``smooth`` follows an operator with other bones through one of the ``--trackers``, because people
-practise with their own tracker. Self-penetration of the poses lowers a candidate's merit. The seeds
-are not those of the benchmark's worlds. If the file ``--state`` exists, the search resumes from it.
+middle finger and the times between them. Candidates are judged by how far they get in the
+unperturbed world and in perturbed ones, which are new in each generation: the object's pose,
+friction and mass differ, and ``smooth`` follows an operator with other bones through one of the
+``--trackers``, because people practise with their own tracker. Self-penetration of the poses lowers
+a candidate's merit. The seeds are not those of the benchmark's worlds. If the file ``--state``
+exists, the search resumes from it.
 """
 
 from __future__ import annotations

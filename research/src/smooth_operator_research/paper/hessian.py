@@ -69,8 +69,8 @@ class HessianDirections:
             + " For all solvers, the Hessian of the loss is computed at the solutions of "
             "single-start SLSQP without velocity term. In every frame, its eigenvectors are ranked "
             "(rank 1 is the flattest). Jitter along a rank is the mean |second difference of q, "
-            "projected on the rank's eigenvector|. The velocity term adds 2 w_v to every eigenvalue and does "
-            "not change the eigenvectors.",
+            "projected on the rank's eigenvector|. The velocity term adds 2 w_v to each eigenvalue "
+            "and does not change the eigenvectors.",
             [
                 _stiff_verdict(without, ranked[0]),
                 _flat_verdict(without, ranked[0]),

@@ -46,11 +46,11 @@ WORLDS: Final = 100
 
 QUICK_WORLDS: Final = 5
 PRACTISED: Final = ("headset", "camera")
-"""Trackers with which the operator has practised; on mimic, practice with a glove gains nothing."""
+"""Trackers with which the operator has practised; with a glove, practice on mimic gains nothing."""
 
 STAYS_S: Final = 2.0
-"""The operator stays in the last pose for so long [s]: a goal must be met for half a second, and
-what hangs between two fingertips swings for a while before."""
+"""Time for which the operator stays in the last pose [s]: a goal must be met for half a second, and
+an object that hangs between two fingertips first swings for a while."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class _Task:
 
 
 class Demonstrations:
-    """The measure; ``research/docs/physics-measures.md`` defines it."""
+    """Measure with demonstrations; ``research/docs/physics-measures.md`` defines it."""
 
     name: Final = "demonstrations"
     title: Final = "Demonstrations"
@@ -220,7 +220,7 @@ def _tip_error_mm(hand: Hand, demonstration: Demonstration, trace: TrialTrace) -
 
 
 def _quantities(world: Perturbation) -> Row:
-    """The perturbed quantities, to find causes of failure."""
+    """Perturbed quantities of a world, to find causes of failure."""
     return {
         "shift_x_mm": 1e3 * float(world.shift[0]),
         "shift_y_mm": 1e3 * float(world.shift[1]),

@@ -46,13 +46,13 @@ from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 HOLD_S: Final = 1.0
 """Time for which the object must be held [s]."""
 GRACE_S: Final = 0.2
-"""Deadline for holding the object, after the human's tightest moment [s]."""
+"""Time after the human's tightest moment by which the robot must hold the object [s]."""
 REST_S: Final = HOLD_S + GRACE_S + 0.05
 """Time for which the human rests at the tightest moment [s]."""
 PUSH_N: Final = 0.3
 """[N]"""
 OPEN_S: Final = 0.15
-"""Deadline for releasing the object, after the human has opened [s]."""
+"""Time after the human's opening by which the robot must release the object [s]."""
 HYSTERESIS: Final = 0.003
 """The human has opened when the skin distance exceeds the object's width by this [m]."""
 
@@ -65,14 +65,15 @@ _LIMIT: Final = 0.99  # of a motor's torque
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotGrasp:
-    """Commands of the robot in a grasp, and times of the human's.
+    """Commands of the robot in a grasp, and times of the human's grasp.
 
     Attributes:
-        stamps: (T,) of the commands [s].
+        stamps: (T,) times of the commands [s].
         commands: (T, n) positions of all joints [rad].
-        tight: when the human's hand is closed most, and rests [s].
-        shut: until when the human holds the object [s]; None: until the end of the recording.
-        opened: when the human has opened, by ``HYSTERESIS`` more in a pinch [s]; None: never.
+        tight: time at which the human's hand is closed most and rests [s].
+        shut: time until which the human holds the object [s]; None: to the end of the recording.
+        opened: time at which the human has opened (in a pinch, by ``HYSTERESIS`` more) [s]; None:
+            never.
     """
 
     stamps: Float[np.ndarray, " T"]
@@ -84,12 +85,12 @@ class RobotGrasp:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotPinch(RobotGrasp):
-    """Commands of the robot in a pinch, and times of the human's.
+    """Commands of the robot in a pinch, and times of the human's pinch.
 
     Attributes:
-        finger: which finger pinches, as an index of ``Hand.fingers``.
-        closing: when the commanded pads are wider apart than the object for the last time before
-            the human's tightest moment [s]; None: they never are.
+        finger: index of the pinching finger in ``Hand.fingers``.
+        closing: last time before the human's tightest moment at which the commanded pads are
+            farther apart than the object is wide [s]; None: they never are.
     """
 
     finger: int
@@ -102,17 +103,18 @@ class GraspResult:
     against palm and thumb in a grasp with the whole hand.
 
     Attributes:
-        touched: the pads came as near as the object is wide; always in a grasp with the whole hand.
-        held: both sides pressed on it for a second under gravity and pushes, gaps of up to 30 ms
-            aside.
-        dropped: both sides had it, and lost it while the human still held.
-        let_go: it was free in time after the human opened; None where it was not held until then,
-            or the recording ends before.
-        delay: from the human's opening until it was free [s]; None likewise, or if it never was.
-        gap: how much wider than the object the pads stayed [m]; 0 where they touched.
-        force: with which both sides pressed while it was held, mean of the weaker one [N]; None
-            where there was no hold.
-        at_limit: share of the hold in which a motor was at its torque limit; None likewise.
+        touched: True if the pads came as near as the object is wide; always True for a grasp with
+            the whole hand.
+        held: True if both sides pressed on it for a second under gravity and pushes, except for
+            gaps of up to 30 ms.
+        dropped: True if both sides had it and lost it while the human still held.
+        let_go: True if it was free in time after the human opened; None if it was not held until
+            then, or the recording ends before.
+        delay: time from the human's opening until it was free [s]; None if it never was, or if
+            ``let_go`` is None.
+        gap: smallest excess of the pads' distance over the object's width [m]; 0 if they touched.
+        force: mean force of the weaker side while it was held [N]; None without a hold.
+        at_limit: fraction of the hold with a motor at its torque limit; None without a hold.
     """
 
     touched: bool
@@ -128,9 +130,9 @@ class GraspResult:
 def try_pinch(physics: PinchPhysics, pinch: RobotPinch) -> GraspResult:
     """Tries a pinch with an object.
 
-    The object appears between the pads when they are as far apart as it is wide, on the last way
-    to closing. Somebody holds it loosely until both pads press on it, or until ``GRACE_S`` after
-    the human's tightest moment. Then it must stay for ``HOLD_S``, in which it is pushed in six
+    When the pads close for the last time and are as far apart as the object is wide, it appears
+    between them. Somebody holds it loosely until both pads press on it, or until ``GRACE_S`` after
+    the human's tightest moment. Then it must stay for ``HOLD_S``, while it is pushed in six
     directions one after the other, and be free ``OPEN_S`` after the human has opened.
     """
     physics.begin(pinch.finger, pinch.commands[0])
@@ -143,7 +145,7 @@ def try_power_grasp(physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResul
     """Tries to grasp an object with the whole hand.
 
     It lies in the open palm from the beginning. Somebody holds it loosely until ``GRACE_S`` after
-    the human's tightest moment; all else is as in ``try_pinch``.
+    the human's tightest moment; everything else is as in ``try_pinch``.
     """
     physics.begin(grasp.commands[0])
     physics.appear()
@@ -175,7 +177,7 @@ class _Run(Generic[_Physics]):
     """One trial with its stages.
 
     Args:
-        waits: the object is handed over when the time is up, not when both sides press on it.
+        waits: True to hand over the object when the time is up, not when both sides press on it.
     """
 
     def __init__(self, physics: _Physics, grasp: RobotGrasp, waits: bool = False) -> None:
@@ -274,13 +276,13 @@ class _Run(Generic[_Physics]):
 def grasp_figures(
     grasps: str, owner: str, things: Sequence[GraspObject], *more: Figure
 ) -> tuple[Figure, ...]:
-    """Figures of a measure of grasps.
+    """Defines the figures of a measure of grasps.
 
     Args:
-        grasps: noun of what a recording has.
-        owner: noun of what has the object.
-        things: the objects; each has its share held.
-        more: figures after the share that was dropped.
+        grasps: word for the grasps of a recording.
+        owner: words for the parts that have the object.
+        things: the objects; each has a figure for the share held.
+        more: figures that follow the share that was dropped.
     """
     return (
         Figure(
@@ -350,7 +352,7 @@ class GraspMeasure(ABC):
     physics: ClassVar[type[GraspPhysics]]
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """No conditions are varied."""
+        """A single condition; nothing is varied."""
         return ("",)
 
     @abstractmethod
@@ -370,21 +372,21 @@ class GraspMeasure(ABC):
         commands: Float[np.ndarray, "P n"],
         moments: Float[np.ndarray, " T"],
     ) -> tuple[Commanded, dict[str, float]]:
-        """The robot's part of one grasp, and further figures, whose means are reported.
+        """The robot's commands in one grasp, and further figures, whose means are reported.
 
         Args:
             grasp: one of ``usable``.
             stamps: (P,) times of the commands, of the recording with holds [s].
             commands: (P, n) positions of all joints [rad].
-            moments: (T,) when each frame of the recording comes in that [s].
+            moments: (T,) time of each frame of the original recording in ``stamps`` [s].
         """
 
     @abstractmethod
     def attempt(self, physics: Any, grasp: Any) -> GraspResult:
-        """Tries a grasp on the object of a physics."""
+        """Tries a grasp in a physics simulation with an object."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """Recordings with such grasps; built-in operators if none is named."""
+        """Recordings with such grasps; built-in operators if no recording is given."""
         count = settings.count(_UNITS, _QUICK_UNITS)
         names = settings.recordings or [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
         requests = [
@@ -442,7 +444,7 @@ class GraspMeasure(ABC):
 def physics_with(
     kind: type[GraspPhysics], hand_name: str, side: Side, thing: GraspObject
 ) -> GraspPhysics:
-    """Physics of a hand and an object, shared by all recordings and methods."""
+    """Physics simulation of a hand and an object, shared by all recordings and methods."""
     return kind(load_hand(hand_name, side), thing)
 
 

@@ -1,4 +1,4 @@
-"""Physics of a hand that gets an object between two fingertips or in the palm."""
+"""Physics simulation of a hand with an object between two fingertips or in the palm."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class GraspObject:
 
     Attributes:
         kind: ``sphere``, ``cube``, ``card``, ``pen``, ``handle`` (a cylinder) or ``ball``.
-        width: between the fingers [m].
+        width: width between the fingers [m].
     """
 
     kind: str
@@ -53,7 +53,7 @@ class GraspObject:
 
     @property
     def mass(self) -> float:
-        """Mass [kg]: density of polystyrene (handle and ball are hollow), and at least 2 g."""
+        """Mass [kg], from the density of polystyrene (handle and ball are hollow); at least 2 g."""
         return max(_DENSITY * self._volume, _LIGHTEST)
 
     @property
@@ -117,7 +117,7 @@ GRASP_OBJECTS: Final = tuple(
         ("cube", 30),
     )
 )
-"""From 2 to 30 mm wide."""
+"""Objects for pinches, 2 to 30 mm wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class GraspScene(Scene):
     """A hand, palm down and high above the floor, and an object that a person holds.
 
     Attributes:
-        thing: what is held.
+        thing: the object to hold.
     """
 
     view: ClassVar = (150.0, -20.0)
@@ -141,7 +141,7 @@ class GraspScene(Scene):
 
 
 def grasp_scene(hand: Hand, thing: GraspObject) -> GraspScene:
-    """Makes the scene of a hand, palm down, and an object to hold."""
+    """Makes the scene of a hand (palm down) and an object to hold."""
     at = mount(hand, up=(0, 0, -1), forward=(1, 0, 0), wrist=(0.0, 0.0, _HIGH))
     start = np.array([0.0, 0.0, 2 * _HIGH])
     return GraspScene(
@@ -172,8 +172,8 @@ class PadGap(NamedTuple):
     """Pads of two fingertips.
 
     Attributes:
-        distance: between their surfaces [m]; negative where they overlap.
-        ends: (2, 3) where they are nearest: on the thumb, on the finger [m].
+        distance: distance of their surfaces [m]; negative if they overlap.
+        ends: (2, 3) nearest points, on the thumb and on the finger [m].
     """
 
     distance: float
@@ -208,7 +208,7 @@ class GraspPhysics(HandPhysics, ABC):
     @property
     @abstractmethod
     def grip(self) -> float:
-        """Force on the object from the weaker of both sides [N]."""
+        """Force of the weaker side on the object [N]."""
 
     def let_go(self) -> None:
         """Releases the object."""
@@ -230,7 +230,7 @@ class GraspPhysics(HandPhysics, ABC):
 
     @property
     def effort(self) -> float:
-        """Largest torque of a motor, as a share of its limit."""
+        """Largest torque of a motor, as a fraction of its limit."""
         return float(np.max(np.abs(self._data.actuator_force) / self._limits))
 
     def _stand(self, pose: Float[np.ndarray, " n"], touching: Collection[int]) -> None:
@@ -308,17 +308,17 @@ class PinchPhysics(GraspPhysics):
         self._finger = 1
 
     def begin(self, finger: int, pose: Float[np.ndarray, " n"]) -> None:
-        """Stand at rest in a pose, with the object out of the way.
+        """Puts the hand at rest in a pose, with the object out of the way.
 
         Args:
-            finger: which finger pinches, as an index of ``hand.fingers``.
+            finger: index of the pinching finger in ``hand.fingers``.
             pose: (n,) positions of all joints [rad].
         """
         self._finger = finger
         self._stand(pose, {*self._fingers[0], *self._fingers[finger]})
 
     def gap(self) -> PadGap:
-        """The pads of thumb and finger now."""
+        """The pads of thumb and finger in the current pose."""
         model, data = self._built.model, self._data
         best = PadGap(_FAR, np.zeros((2, 3)))
         ends = np.zeros(6)
@@ -330,10 +330,10 @@ class PinchPhysics(GraspPhysics):
         return best
 
     def gap_at(self, finger: int, pose: Float[np.ndarray, " n"]) -> float:
-        """Distance of the pads in a pose [m]; negative where they overlap.
+        """Distance of the pads in a pose [m]; negative if they overlap.
 
         Args:
-            finger: which finger, as an index of ``hand.fingers``.
+            finger: index of the finger in ``hand.fingers``.
             pose: (n,) positions of all joints [rad].
         """
         self.begin(finger, pose)
@@ -342,7 +342,7 @@ class PinchPhysics(GraspPhysics):
     def appear(self) -> None:
         """Puts the object between the pads and enables its contacts.
 
-        Somebody holds it loosely: it has no weight, and yields to the pads against a drag.
+        Somebody holds it loosely: it has no weight, and yields to the pads against some drag.
         """
         thumb, finger = self.gap().ends
         axis = finger - thumb
@@ -362,7 +362,7 @@ class PinchPhysics(GraspPhysics):
 
     @property
     def grip(self) -> float:
-        """See ``GraspPhysics``: thumb and finger."""
+        """See ``GraspPhysics``; the sides are thumb and finger."""
         return min(self.pinch)
 
     @property
@@ -410,7 +410,7 @@ class PowerGraspPhysics(GraspPhysics):
         self._row = at + turn @ row
 
     def begin(self, pose: Float[np.ndarray, " n"]) -> None:
-        """Stand at rest in a pose, with the object out of the way.
+        """Puts the hand at rest in a pose, with the object out of the way.
 
         Args:
             pose: (n,) positions of all joints [rad].
@@ -420,11 +420,11 @@ class PowerGraspPhysics(GraspPhysics):
     def appear(self) -> float:
         """Lays the object into the palm and enables its contacts.
 
-        It comes from the front, across the palm, to where it is nearest to the palm without
-        touching the hand. Somebody holds it loosely: it has no weight, and yields against a drag.
+        It is laid across the palm, from the front, as near to the palm as possible without
+        touching the hand. Somebody holds it loosely: it has no weight, and yields against drag.
 
         Returns:
-            how far its centre is in front of the row of the finger bases [m].
+            distance of its centre in front of the row of the finger bases [m].
         """
         distal, radial, palmar = self.scene.mount.directions.T
         best, where, turn = (np.inf, 0.0), self._row, np.zeros(4)
@@ -442,7 +442,7 @@ class PowerGraspPhysics(GraspPhysics):
 
     @property
     def grip(self) -> float:
-        """See ``GraspPhysics``: the fingers on one side, palm and thumb on the other."""
+        """See ``GraspPhysics``; the sides are the fingers, and palm and thumb."""
         force, _, palm, _ = self._touching.read(self._data)
         return float(min(force[1:].sum(), palm + force[0]))
 

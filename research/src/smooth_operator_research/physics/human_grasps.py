@@ -1,4 +1,4 @@
-"""Pinches and closings of a human hand in a recording, and time to hold something in each."""
+"""Finds pinches and closings of a human hand in a recording, and inserts time to hold objects."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ class HumanGrasp(Protocol):
 class HumanPinch:
     """One pinch; frames are indices of the recording.
 
-    The tips' landmarks lie inside the fingers, so their distance is not 0 where the skins touch.
-    Each pinch is taken to close: its smallest distance is skin on skin, and the width between the
-    skins at other moments is what the distance is above that.
+    The landmarks of tips lie inside the fingers, so their distance is not 0 when the skins touch.
+    Every pinch is assumed to close: the skins touch at its smallest distance, and at other times
+    the width between the skins is the distance minus that smallest one.
 
     Attributes:
         finger: name of the finger that meets the thumb.
-        first: frame from which it is looked at.
+        first: first frame of its window.
         tight: frame of the smallest distance.
-        opened: first frame in which it is no pinch any more.
-        last: frame until which it is looked at.
-        contact: that distance [m].
-        width: (T,) between the skins in each frame of the recording [m]; NaN where a tip is not
-            known.
+        opened: first frame in which it is no longer a pinch.
+        last: last frame of its window.
+        contact: smallest distance [m].
+        width: (T,) distance of the skins in each frame of the recording [m]; NaN where a tip is
+            unknown.
     """
 
     finger: str
@@ -65,7 +65,7 @@ class HumanPinch:
     width: Float[np.ndarray, " T"]
 
     def of_size(self, scale: float) -> HumanPinch:
-        """The pinch of a scaled hand: ``contact`` and ``width`` differ."""
+        """The same pinch of a scaled hand, with other ``contact`` and ``width``."""
         return replace(self, contact=scale * self.contact, width=scale * self.width)
 
     @property
@@ -76,7 +76,7 @@ class HumanPinch:
     def opening(self, width: float) -> int | None:
         """First frame from which the skin distance exceeds a width [m]; None if it never does.
 
-        What they do while the pinch is closed is tracking noise where it does not open the pinch.
+        While the pinch is closed, changes that do not open it count as tracking noise.
         """
         before = np.flatnonzero(~(self.width[self.tight : self.opened] > width))
         first = self.tight + int(before[-1]) + 1 if len(before) else self.tight
@@ -87,8 +87,8 @@ class HumanPinch:
 def find_pinches(recording: HandRecording) -> list[HumanPinch]:
     """Finds all pinches of a recording, in order of time.
 
-    Closed and opened by hysteresis in the distance of the tips. Of pinches of several fingers at
-    one time the tightest counts.
+    A pinch closes and opens with hysteresis in the distance of the tips. If several fingers pinch
+    at the same time, the tightest pinch counts.
     """
     pinches: list[HumanPinch] = []
     gaps = _tip_gaps(recording)
@@ -117,11 +117,10 @@ def with_holds(
     """Inserts a rest of the hand at each grasp's tightest moment.
 
     Args:
-        seconds: how long it rests; the frame is repeated at the recording's rate.
+        seconds: duration of the rest; the frame is repeated at the recording's rate.
 
     Returns:
-        The longer recording; and (T,) when each frame of the old one comes in it [s], before its
-        repeats.
+        The longer recording; and (T,) times in it of the original frames, before repeats [s].
     """
     period = float(np.median(np.diff(recording.stamps)))
     repeats = np.zeros(len(recording), int)
@@ -211,12 +210,12 @@ class HumanClosing:
     """One closing of the hand; frames are indices of the recording.
 
     Attributes:
-        first: frame from which it is looked at, the hand open.
+        first: first frame of its window, with an open hand.
         tight: frame in which the fingers are bent most, on average.
-        shut: until this frame the human holds the object.
+        shut: frame until which the human holds the object.
         opened: first frame in which all fingers are straight again; None if the recording ends
             before, or the hand closes again.
-        last: frame until which it is looked at.
+        last: last frame of its window.
     """
 
     first: int
@@ -258,7 +257,7 @@ def finger_straightness(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
     """Distance from base to tip of index to pinky, divided by the length of their bones.
 
     Returns:
-        (T, 4); 1 for a straight finger, NaN where a landmark of it is not known.
+        (T, 4); 1 for a straight finger, NaN if one of its landmarks is unknown.
     """
     assert recording.valid is not None  # filled in on construction
     points = np.where(recording.valid[..., None], recording.landmarks, np.nan)

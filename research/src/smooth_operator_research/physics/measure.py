@@ -1,8 +1,8 @@
 """Interface of a measure of ``bench --physics``, and its cases.
 
-A measure is a class without arguments, named in ``physics.suite``. The framework makes the
-cases (each hand, method, condition and independent unit), runs them in workers, keeps what came of
-each, and makes tables, files and the report.
+A measure is a class without arguments, listed in ``physics.suite``. The framework makes the
+cases (each hand, method, condition and independent unit), runs them in workers, stores the results,
+and makes tables, files and the report.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ class PhysicsSettings:
         output: folder of the results.
         measures: names of measures; see ``physics.suite``.
         hands: names of robot hands.
-        methods: names as ``benchmark.settings.select_methods`` takes them.
-        side: which hand, of measures that need no recording.
-        recordings: files, folders, or ``synthetic``, for measures that need some; empty for
-            those that a measure takes by itself.
-        frames: ``A:B``, of each recording that brings no range of its own.
-        rate: frames a second of recordings without stamps [Hz].
+        methods: names, in the form for ``benchmark.settings.select_methods``.
+        side: side of the hand in measures without recordings.
+        recordings: files, folders, or ``synthetic``, for measures that need recordings; empty for
+            the defaults of each measure.
+        frames: range ``A:B`` for each recording that has no range of its own.
+        rate: frame rate of recordings without timestamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
         trackers: kinds of trackers of measures whose human is simulated.
-        units: how many independent units (seeds, worlds, operators) each measure takes; None for
-            as many as it takes by itself.
-        quick: take fewer and shorter cases, to try things out.
+        units: number of independent units (seeds, worlds, operators) of each measure; None for
+            the measure's default.
+        quick: True for fewer and shorter cases, to try the measures.
         seed: seed of the units and of the methods' random numbers.
-        workers: processes; None for one per core, 0 for none.
+        workers: number of processes; None for one per core, 0 for none.
         cluster: address of a Ray cluster instead of processes on this machine.
     """
 
@@ -87,8 +87,8 @@ class PhysicsSettings:
         """Number of units of a measure.
 
         Args:
-            default: where nothing is said.
-            quick: where a quick run is asked for.
+            default: number without another setting.
+            quick: number in a quick run.
         """
         if self.units is not None:
             return self.units
@@ -104,10 +104,11 @@ class Unit:
     """An independent repetition: a seed, a recording, a world, an operator.
 
     Attributes:
-        name: what it is called in the rows.
-        key: what it depends on, with a JSON form; in the key of a kept result. The name if empty.
-        data: what a case needs of it; it can be pickled.
-        effort: about how long it takes; only the proportions matter.
+        name: name in the rows.
+        key: JSON value of everything it depends on, for the key of a stored result; if empty, the
+            name.
+        data: data that a case needs; it can be pickled.
+        effort: approximate duration; only the proportions matter.
     """
 
     name: str
@@ -130,8 +131,8 @@ class Case:
         condition: one of ``Measure.conditions``.
         unit: the independent unit.
         seed: seed of the method's random numbers.
-        quick: a shorter case is asked for.
-        clip: a clip is wanted.
+        quick: True for a shorter case.
+        clip: True to record a clip.
     """
 
     measure: str
@@ -185,10 +186,10 @@ class Case:
         return execute(todo, built_for(todo)).commands
 
     def retargeter(self, tracker: str | None = None) -> Retargeter:
-        """Compiled method for a loop that steps it; cached in the process.
+        """Compiled method for a loop that calls it frame by frame; cached in the process.
 
         Args:
-            tracker: kind of tracker that the loop has, whose pinch gaps are known.
+            tracker: kind of tracker in the loop, whose pinch gaps are known.
         """
         if isinstance(self.config, TrajectoryMethodConfig):
             return Retargeter(self.hand, config=self.config, seed=self.seed)  # says why not
@@ -211,14 +212,14 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Motion that a player shows of a case; positions in the palm frame [m].
+    """Motion of a case, for a player; positions in the palm frame [m].
 
     Attributes:
-        stamps: (T,) [s].
+        stamps: (T,) times [s].
         human: (T, 21, 3) the human's landmarks, aligned.
         joints: (T, n) positions of all joints of the robot [rad].
-        objects: (T, p, 3) points of objects; None for none.
-        edges: pairs of those points that a line joins.
+        objects: (T, p, 3) points of objects; None without objects.
+        edges: pairs of these points that are joined by a line.
     """
 
     stamps: Float[np.ndarray, " T"]
@@ -234,7 +235,7 @@ class Measured:
 
     Attributes:
         row: numbers and short texts.
-        clip: what was seen; None where none was wanted.
+        clip: recorded motion; None unless requested.
     """
 
     row: Row
@@ -247,7 +248,7 @@ class Drawing:
 
     Attributes:
         name: name of its files, ``NAME.png`` and ``NAME.svg``.
-        caption: what is seen.
+        caption: text that explains the plot.
         plot: matplotlib's figure.
     """
 
@@ -260,12 +261,12 @@ class Measure(Protocol):
     """A measure of what a hand achieves.
 
     Attributes:
-        name: what it is called on the command line.
+        name: name on the command line.
         title: heading of its section.
-        definition: what it measures, in one sentence.
+        definition: definition in one sentence.
         page: its page of the documentation, with the anchor of its section.
-        unit: what an independent unit is: "seed", "recording", "world", "operator".
-        figures: its columns that are figures, the most telling first.
+        unit: kind of independent unit: "seed", "recording", "world", "operator".
+        figures: columns that are figures, the most important first.
     """
 
     name: str
@@ -316,7 +317,7 @@ def clip_record(clip: Clip) -> dict[str, Any]:
 
 
 def clip_of_record(record: dict[str, Any]) -> Clip:
-    """Restores the thinned clip of ``clip_record``."""
+    """Restores a clip from the result of ``clip_record``, with fewer frames than the original."""
     arrays = {
         name: None if record[name] is None else _unpacked(record[name], scale)
         for name, scale in _SCALES.items()

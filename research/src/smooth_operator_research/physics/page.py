@@ -52,7 +52,7 @@ def interval_drawings(
     method.
 
     Args:
-        name: name of the measure; the files begin with it.
+        name: name of the measure, with which the file names begin.
         results: all rows.
         colors: method -> colour.
     """
@@ -201,7 +201,7 @@ def _table(outcome: MeasureOutcome, lines: Sequence[Line], colors: Mapping[str, 
 
 
 def _panel(key: tuple[str, str, str], clips: Mapping[str, Clip]) -> Panel:
-    """Clips of several methods on one clock: one that ends earlier stays at its last frame."""
+    """Clips of several methods on one clock; a clip that ends earlier stays at its last frame."""
     name, side, condition = key
     hand = load_hand(name, as_side(side))
     stamps = max((clip.stamps for clip in clips.values()), key=lambda own: float(own[-1]))
@@ -223,9 +223,9 @@ DIFFERENCES: Final = "differences.csv"
 
 
 def write_files(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -> list[Path]:
-    """Writes ``MEASURE.csv`` (a row a case), ``summary.csv`` (a row for each measure, hand, method,
-    condition and figure, with its interval), ``differences.csv`` (the same of each pair of methods,
-    unit by unit) and ``results.json`` (all of it).
+    """Writes ``MEASURE.csv`` (one row per case), ``summary.csv`` (a row for each measure, hand,
+    method, condition and figure, with its interval), ``differences.csv`` (the same for each pair
+    of methods, unit by unit) and ``results.json`` (everything).
 
     Returns:
         The files.

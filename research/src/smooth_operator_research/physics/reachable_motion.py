@@ -33,7 +33,7 @@ from smooth_operator_research.physics.results import Figure, MeasureResults
 KNOT_S: Final = 0.4
 """Time between two knots of the spline [s]; half of its inverse, 1.25 Hz, bounds the band."""
 PINCH_SHARE: Final = 1 / 3
-"""Share of key poses in which the thumb touches a finger."""
+"""Fraction of key poses in which the thumb touches a finger."""
 PINCH_GAP: Final = 0.02
 """Tips closer than this are a pinch [m]."""
 TOUCH: Final = 1e-3
@@ -62,10 +62,10 @@ class JointMotion:
     """A motion of a hand's actuated joints.
 
     Attributes:
-        stamps: (T,) from 0 [s].
+        stamps: (T,) times from 0 [s].
         joints: (T, m) positions of the actuated joints [rad].
-        pinches: how many key poses are pinches.
-        deepest: deepest self-penetration [m]; None where the model has no shapes that collide.
+        pinches: number of key poses that are pinches.
+        deepest: deepest self-penetration [m]; None if the model has no colliding shapes.
     """
 
     stamps: Float[np.ndarray, " T"]
@@ -84,16 +84,16 @@ def joint_motion(
 ) -> JointMotion:
     """A random motion from the neutral pose, within the limits and free of self-collision.
 
-    A uniform cubic B-spline with a knot each 0.4 s: twice continuously differentiable, within the
-    limits since its control points are, and faster than 1.25 Hz in nothing. A third of the key
-    poses are pinches of the thumb with each finger in turn, which the motion reaches exactly and
-    holds for up to 0.4 s; the others are uniform within the limits. A key pose is drawn again
-    where it or the way to it has parts of the hand more than a millimetre inside each other, as
-    far as the model has shapes that collide.
+    It is a uniform cubic B-spline with a knot every 0.4 s: twice continuously differentiable,
+    within the limits because its control points are, and without frequencies above 1.25 Hz. A third
+    of the key poses are pinches of the thumb with each finger in turn, which the motion reaches
+    exactly and holds for up to 0.4 s; the others are uniform within the limits. A key pose is drawn
+    again if, there or on the way to it, parts of the hand are more than a millimetre inside each
+    other, provided that the model has colliding shapes.
 
     Args:
         duration: length [s].
-        rate_hz: frames a second [Hz].
+        rate_hz: frames per second [Hz].
     """
     rng = np.random.default_rng(seed)
     per_knot = round(KNOT_S * rate_hz)
@@ -128,8 +128,8 @@ def spline(control: list[np.ndarray], per_knot: int) -> Float[np.ndarray, "T m"]
     """A uniform cubic B-spline.
 
     Args:
-        control: control points, four at least; a segment for each four neighbours.
-        per_knot: frames of each segment.
+        control: at least four control points; each four neighbours define a segment.
+        per_knot: number of frames per segment.
 
     Returns:
         (segments * per_knot, m) without the end of the last segment.
@@ -161,7 +161,7 @@ class _KeyPoses:
         return bool(self._found)
 
     def free(self, count: int = 1) -> Float[np.ndarray, "k m"]:
-        """Collision-free poses, or the best of some."""
+        """Collision-free random poses; if there are too few, also those with the least overlap."""
         poses = self._rng.uniform(self._low, self._high, (_DRAWS // 3 * count, len(self._low)))
         depths = penetration_depths(self.hand, self.hand.full_configuration(poses))
         worse = np.zeros(len(poses)) if depths is None else np.maximum(depths, TOUCH)
@@ -169,10 +169,10 @@ class _KeyPoses:
         return chosen
 
     def pinch(self, turn: int) -> Float[np.ndarray, " m"]:
-        """A pose in which the thumb touches a finger, or comes as near as the hand lets it.
+        """A pose in which the thumb touches a finger, or comes as near as the hand allows.
 
         Args:
-            turn: which finger: those that the thumb reaches take turns.
+            turn: number of the pinch; the fingers that the thumb reaches take turns.
         """
         poses = self._found[turn % len(self._found)]
         pose: np.ndarray = poses[self._rng.integers(len(poses))]
@@ -256,11 +256,11 @@ class AskedMotion:
     """A motion that a robot hand can make exactly, as a recording of a human hand.
 
     Attributes:
-        recording: the robot's own landmarks in the palm frame as a human's, whose fingertips shake
-            where it was asked for; the alignment leaves landmarks where they are.
-        joints: (T, n) positions of all joints that made it [rad].
-        tips: (T, F, 3) the fingertips of those, without shake [m], thumb first.
-        motion: how it was made.
+        recording: the robot's own landmarks in the palm frame as a human's, with shaking fingertips
+            if requested; the alignment does not move these landmarks.
+        joints: (T, n) positions of all joints that produced it [rad].
+        tips: (T, F, 3) fingertips at these positions, without shake [m], thumb first.
+        motion: motion of the actuated joints.
     """
 
     recording: HandRecording
@@ -280,10 +280,10 @@ def reachable_motion(
     """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
 
     Args:
-        tracker: kind of tracker with whose shake the fingertips are seen, at the rate of the motion
-            and without its delay, losses and pinch gaps; None for none.
+        tracker: kind of tracker whose shake is added to the fingertips, at the rate of the motion
+            and without its delay, losses and pinch gaps; None for no shake.
         duration: length [s].
-        rate_hz: frames a second [Hz].
+        rate_hz: frames per second [Hz].
     """
     return _asked(hand, joint_motion(hand, seed, duration=duration, rate_hz=rate_hz), seed, tracker)
 
@@ -307,7 +307,7 @@ def _motion(hand_name: str, side: Side, seed: int, duration: float) -> JointMoti
 
 
 class ReachableMotion:
-    """The measure; ``research/docs/physics-measures.md`` defines it."""
+    """Measure with reachable motions; ``research/docs/physics-measures.md`` defines it."""
 
     name: Final = "reachable"
     title: Final = "Reachable motion"
@@ -422,7 +422,7 @@ def motion_figures(
     """Measures one motion without its first half second.
 
     Args:
-        joints: (T, n) what it was commanded [rad].
+        joints: (T, n) commanded positions of all joints [rad].
     """
     warm = _warm(request)
     tips = hand.tips(joints)
@@ -464,15 +464,16 @@ def _warm(request: AskedMotion) -> int:
 def lag_frames(human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]) -> float:
     """Delay of one motion behind another in frames.
 
-    The whole number of frames with the smallest mean squared distance, and the fraction that the
-    remaining distance makes along the asked velocity, by least squares. What is exact has lag 0.
+    It is the whole number of frames with the smallest mean squared distance, plus the fraction that
+    explains the remaining distance along the target velocity, by least squares. An exact motion has
+    lag 0.
 
     Args:
         human: (T, F, 3) points [m].
-        robot: (T, F, 3) the points that follow.
+        robot: (T, F, 3) points that follow them [m].
 
     Returns:
-        frames, down to -1; 0 where nothing moves or the motion is too short to tell.
+        number of frames, at least -1; 0 if nothing moves or the motion is too short.
     """
     most = min(_MOST_LAG, len(human) // 4)
     if most < 1:

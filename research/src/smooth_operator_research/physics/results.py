@@ -22,13 +22,13 @@ _Z: Final = 1.959963984540054  # of the normal distribution, for 95 %
 class Figure(Metric):
     """A figure of a measure: a column of its rows, and how rows are summarised.
 
-    The mean over independent units has Student's t interval. A share of trials has Wilson's, over
-    all trials of all units.
+    A mean over independent units has Student's t interval. A share of trials has Wilson's interval,
+    over all trials of all units.
 
     Attributes:
-        share: the column holds how many trials succeeded, or whether one did.
-        trials: name of the column with the number of trials; "" for one trial a row.
-        main: shown on the terminal; the others are in the files and the report.
+        share: True if the column has the number of successful trials, or the success of one.
+        trials: name of the column with the number of trials; "" for one trial per row.
+        main: True if it is shown on the terminal; the others are in the files and the report.
     """
 
     share: bool = False
@@ -46,9 +46,9 @@ class Summary:
     """A figure over independent units, with its 95 % interval.
 
     Attributes:
-        value: mean, or share of successes; None where no row has the figure.
+        value: mean, or share of successes; None if no row has the figure.
         low, high: ends of the interval; None for a mean of one unit, which has no interval.
-        count: how many units, or trials of a share.
+        count: number of units, or of trials for a share.
     """
 
     value: float | None
@@ -83,7 +83,7 @@ def wilson(successes: float, trials: float) -> tuple[float, float]:
 
 
 def summarise(figure: Figure, rows: Iterable[Mapping[str, Any]]) -> Summary:
-    """Summarises a figure over rows, without rows that lack it and failures."""
+    """Summarises a figure over the rows that have it; failed cases are left out."""
     measured = [row for row in rows if row.get(figure.name) is not None]
     if figure.share:
         good = sum(float(row[figure.name]) for row in measured)
@@ -102,13 +102,13 @@ def summarise(figure: Figure, rows: Iterable[Mapping[str, Any]]) -> Summary:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A method on a hand in a condition.
+    """One line of a table: a method on a hand in a condition.
 
     Attributes:
-        method: what it is called in tables.
+        method: name of the method in tables.
         summaries: name of a figure -> its summary.
-        rows: how many there are.
-        failed: why rows have no figures, each reason once.
+        rows: number of rows.
+        failed: reasons why rows have no figures, each reason once.
     """
 
     method: str
@@ -126,8 +126,8 @@ class MeasureResults:
     """All rows of a measure.
 
     Attributes:
-        figures: its figures.
-        rows: each begins with ``measure``, ``hand``, ``side``, ``method``, ``preset``,
+        figures: figures of the measure.
+        rows: each row begins with ``measure``, ``hand``, ``side``, ``method``, ``preset``,
             ``condition``, ``unit``, ``status`` (ok or error) and ``reason`` (of an error).
     """
 
@@ -146,7 +146,7 @@ class MeasureResults:
         return list(dict.fromkeys(row_method(row) for row in self.rows))
 
     def of(self, panel: tuple[str, str, str], method: str | None = None) -> list[Row]:
-        """Rows of a hand, side and condition; of one method or of all."""
+        """Rows of a hand, side and condition, for one method or for all."""
         own = [r for r in self.rows if (r["hand"], r["side"], r["condition"]) == panel]
         return [r for r in own if method is None or row_method(r) == method]
 
@@ -164,8 +164,8 @@ class MeasureResults:
     def differences(self, panel: tuple[str, str, str], against: str) -> dict[str, Difference]:
         """Differences of each other method's figures from those of one method, unit by unit.
 
-        Both methods had the same units, so that what units have in common cancels. A share is taken
-        within each unit.
+        Both methods had the same units, so effects of the unit cancel. A share is computed within
+        each unit.
 
         Args:
             panel: hand, side and condition.
@@ -208,7 +208,7 @@ def _difference(a: Mapping[str, float | None], b: Mapping[str, float | None]) ->
 def best_of(lines: Sequence[Line], figure: Figure) -> str | None:
     """Best method by a figure; None if the figure has no direction or all are equal.
 
-    Where less is better, the nearest to 0 is best: a lag may be below 0.
+    If less is better, the value nearest to 0 is best, because a lag may be negative.
     """
     values = {line.method: line.summaries[figure.name].value for line in lines}
     finite = {method: value for method, value in values.items() if value is not None}

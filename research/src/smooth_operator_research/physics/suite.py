@@ -85,7 +85,7 @@ class MeasureOutcome:
     Attributes:
         measure: the measure.
         results: its rows.
-        clips: hand, side and condition -> method as in tables -> what was seen of one unit.
+        clips: hand, side and condition -> method as in tables -> clip of one unit.
     """
 
     measure: Measure
@@ -129,15 +129,15 @@ def run_cases(
 ) -> list[MeasureOutcome]:
     """Runs all cases that an earlier run in the folder has not finished.
 
-    A case that fails has a reason in place of figures, and the rest goes on. A run that is stopped
-    loses only the cases that it was at.
+    A case that fails has a reason instead of figures, and the others continue. A stopped run loses
+    only the cases that were running.
 
     Args:
         planned: result of ``plan_cases``.
-        reporter: is told what is done, and which kept results can't be used.
+        reporter: receives the progress, and the stored results that can't be used.
 
     Returns:
-        What each measure came to, its rows in the order of the cases.
+        The outcome of each measure, with rows in the order of the cases.
     """
     config = {"program": PROGRAM, "command": COMMAND, "settings": settings, **environment()}
     write_json(settings.output / CONFIG, config, indent=2)
@@ -217,6 +217,6 @@ def _row(case: Case, result: JobResult[Case]) -> Row:
 
 
 def failed_rows(outcomes: Iterable[MeasureOutcome]) -> Iterator[Row]:
-    """Rows that have a reason in place of figures."""
+    """Rows that have a reason instead of figures."""
     for outcome in outcomes:
         yield from (row for row in outcome.results.rows if row["status"] != "ok")

@@ -1,4 +1,4 @@
-"""Validity of the physics: pads, energy, slip, creep, and results at half the step.
+"""Tests the physics simulation: pads, energy, slip, creep, and results at half the time step.
 
 ``python -m smooth_operator_research.physics.validity`` prints the table of
 ``research/docs/physics-measures.md``.
@@ -40,12 +40,12 @@ TIGHT: Final = (
 
 
 class Pinched(NamedTuple):
-    """World of two pads that press on an object from both sides, on slide joints along x.
+    """Simulated world of two pads on slide joints along x that press on an object from both sides.
 
     Attributes:
-        model: the world; its two motors are the pads' forces towards each other [N].
+        model: model of the world; its two motors press the pads towards each other [N].
         data: its state.
-        body: the object's.
+        body: body of the object.
     """
 
     model: mujoco.MjModel
@@ -126,8 +126,8 @@ def energy_gain(thing: GraspObject, height: float = 0.05) -> tuple[float, float]
     """Drops an object on a pad.
 
     Returns:
-        By how much its energy ever rises, as a share of what it fell with; and how high it
-        bounces, as a share of the height.
+        largest gain of energy, as a fraction of the energy of the fall; and the height of the
+        bounce, as a fraction of the height of the fall.
     """
     world = _world(STEP_S)
     pad = world.worldbody.add_body(name=_PADS[0], pos=(0.0, 0.0, _HIGH))

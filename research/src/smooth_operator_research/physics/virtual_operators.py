@@ -19,7 +19,7 @@ _UNITS, _QUICK_UNITS = 6, 2
 
 
 class VirtualOperators:
-    """The measure; ``research/docs/physics-measures.md`` defines it."""
+    """Measure with virtual operators; ``research/docs/physics-measures.md`` defines it."""
 
     name: Final = "operators"
     title: Final = "Virtual operators"
@@ -50,7 +50,7 @@ class VirtualOperators:
         return tuple(f"{task} {tracker}" for task in TASKS for tracker in settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """Persons."""
+        """Simulated persons."""
         count = settings.count(_UNITS, _QUICK_UNITS)
         return [
             Unit(f"operator {k + 1}", key=[settings.seed, k], data=(k, settings.seed))

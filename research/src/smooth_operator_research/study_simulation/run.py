@@ -120,7 +120,7 @@ class Chunk:
 
 
 def plan_for(plan: Plan, operators: int | None) -> Plan:
-    """Plan for a number of operators; the plan itself if it has that number."""
+    """Returns the plan for a number of operators; the plan itself if it has that number."""
     if operators is None:
         if not plan.enrolled:
             raise StudyError("the plan has no operators; give their number with --operators")

@@ -1,10 +1,10 @@
 """Hand of a person that follows fingertip goals by inverse kinematics within its joint ranges.
 
-There are two. ``human``: published human anatomy with the person's bone lengths and human joint
-ranges. ``matched``: the kinematics of the robot hand at human size, each bone 10 % longer or
-shorter at most, and its joint ranges. The demonstrations of the tasks use fingertip positions that
-a human thumb, aligned by the palm, does not reach (``research/docs/study.md`` has the figures), so
-trials are simulated with the matched hand.
+There are two hands. ``human`` has published human anatomy with the person's bone lengths and human
+joint ranges. ``matched`` has the kinematics and joint ranges of the robot hand at human size, with
+each bone at most 10 % longer or shorter. The demonstrations of the tasks use fingertip positions
+that a human thumb, aligned by the palm, does not reach (``research/docs/study.md`` has the
+figures), so trials are simulated with the matched hand.
 """
 
 from __future__ import annotations
@@ -92,16 +92,16 @@ _TIP_M: Final = 0.002  # a fingertip's error counts in units of this [m]
 _POSTURE: Final = 3.0  # an angle's distance from the relaxed hand counts in units of this [rad]
 _MOTION: Final = 0.5  # and that from the last angle in units of this [rad]
 _FASTEST: Final = 15.0
-"""Highest speed of a finger joint [rad/s]; our choice, similar to the fastest finger movements."""
+"""Highest speed of a finger joint [rad/s]; our choice, similar to the fastest movements."""
 
 
 class HandModel(ABC):
     """Kinematics of a hand.
 
     Attributes:
-        lower: (m,) least angles [rad].
-        upper: (m,) greatest angles [rad].
-        relaxed: (m,) [rad].
+        lower: (m,) smallest angles [rad].
+        upper: (m,) largest angles [rad].
+        relaxed: (m,) angles of the relaxed hand [rad].
     """
 
     lower: Float[np.ndarray, " m"]
@@ -211,9 +211,9 @@ class ReachingHand:
         """Moves the fingertips towards goals.
 
         Args:
-            tips: (5, 3) thumb first [m]; NaN for a finger that stays relaxed.
-            seconds: since the last call [s]; infinite for no limit of the speed.
-            rounds: rounds of Gauss-Newton, from the last angles.
+            tips: (5, 3) goals, thumb first [m]; NaN for a finger that stays relaxed.
+            seconds: time since the last call [s]; infinite for no speed limit.
+            rounds: number of Gauss-Newton steps from the last angles.
 
         Returns:
             (21, 3) landmarks [m].
@@ -282,10 +282,10 @@ class GripReach:
         self._turns: dict[tuple[float, ...], dict[int, tuple[float, float]]] = {}
 
     def off(self, aims: dict[int, Float[np.ndarray, "3"]]) -> float:
-        """Distance of the farthest fingertip from its aim [m].
+        """Largest distance of a fingertip from its goal [m].
 
         Args:
-            aims: finger -> place in the world [m].
+            aims: finger -> goal in the world [m].
         """
         goals = np.full((5, 3), np.nan)
         for finger, place in aims.items():
@@ -295,13 +295,13 @@ class GripReach:
         return float(np.linalg.norm(points[list(TIPS)][rows] - goals[rows], axis=1).max())
 
     def edge_pinch(self, x: float, y: float, top: float, gap: float) -> tuple[int, float]:
-        """Finger and place along the edge at which it and the thumb can best pinch a card.
+        """Finger that can best pinch a card with the thumb, and the position along the edge.
 
         Args:
-            x: place of the pinch [m].
-            y: place of the card's centre [m].
+            x: position of the pinch [m].
+            y: position of the card's centre [m].
             top: height of the table [m].
-            gap: between the fingertips [m].
+            gap: distance between the fingertips [m].
         """
         places = []
         for finger in (1, 2):
@@ -326,13 +326,13 @@ class GripReach:
         Args:
             centre: middle of the block [m].
             normals: (n,) directions of its faces [rad].
-            sign: in which direction it is to be turned; 0 for either.
-            missing: by how much [rad].
+            sign: direction in which to turn it; 0 for either.
+            missing: angle that is left to turn [rad].
             width: distance of fingertips from the centre [m].
-            wide: the same of the open hand [m].
+            wide: distance of the open hand's fingertips from it [m].
 
         Returns:
-            None where thumb and fingers can't turn it.
+            None if thumb and fingers can't turn it.
         """
         best: tuple[float, int, float, float] | None = None
         for finger, (low, high) in self._ranges(centre, width, wide).items():
@@ -390,7 +390,7 @@ class GripReach:
     def across(
         self, centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, "3"]:
-        """Horizontal direction (3,) across a handle, to the thumb's side."""
+        """(3,) horizontal direction across a handle, towards the thumb's side."""
         direction = np.cross(axis, [0.0, 0.0, 1.0])
         direction /= np.linalg.norm(direction)
         side = (self.relaxed[0] - self.relaxed[1:3].mean(axis=0)) @ direction
@@ -441,7 +441,7 @@ def _longest_run(fits: np.ndarray) -> tuple[int, int] | None:
 
 
 POSTURES: Final = 48
-"""Postures that a person moves through; movements of 0.7 s, with pauses, fill two minutes."""
+"""Number of postures in free movement; movements of 0.7 s, with pauses, fill two minutes."""
 
 _MOVE_S: Final = 0.5
 _RATE_HZ: Final = 15.0  # of the frames that are remembered
@@ -454,9 +454,9 @@ class InternalModel:
     affine regression.
 
     Args:
-        robot: (n, f, 3) fingertips that were seen, in the robot's palm frame [m].
-        own: (n, f, 3) the person's at those moments [m].
-        fingers: (f,) index of each in ``FINGERS``.
+        robot: (n, f, 3) robot fingertips that were seen, in the robot's palm frame [m].
+        own: (n, f, 3) fingertips of the person at the same times [m].
+        fingers: (f,) index of each finger in ``FINGERS``.
     """
 
     def __init__(

@@ -1,17 +1,17 @@
 """A person at the tracker, who plans, watches with a delay, corrects, and tries again.
 
-The parts are: what the person does with the object (``strategies.py``), tremor and motor noise and
-the person's figures (``person.py``), the hand (``hand_model.py``), and here delay and correction
-and the movement: a step of the strategy takes the time of Fitts' law; the person looks whether what
-is wanted is seen, corrects fingertips that are not where they should be, and goes on.
+``strategies.py`` defines what the person does with the object, ``person.py`` tremor, motor noise
+and the person's parameters, and ``hand_model.py`` the hand. This module adds delay, correction and
+movement: a step of the strategy takes the time of Fitts' law; the person checks by eye whether its
+goal is reached, corrects fingertips that are not where they should be, and continues.
 
 The correction is McRuer's crossover model: near the frequency at which the open loop's gain is 1, a
 person's correction and the machine together behave as omega_c exp(-tau s) / s, whatever the machine
-is (McRuer and Jex 1967). The machine here follows the fingers without much dynamics of its own, so
-the person integrates the error that is seen.
+is (McRuer and Jex 1967). The machine here follows the fingers with little dynamics of its own, so
+the person integrates the seen error.
 
-Simplifications: a finger that presses is not corrected by what is seen of it (that made grips slip
-in trials); nothing is felt, as in the paper's study.
+Simplifications: a pressing finger is not corrected by vision (this made grips slip in trials); the
+person feels nothing, as in the paper's study.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SPEED_LIMIT: Final = 0.10
 to 200 ms (Meyer et al. 1988)."""
 
 REACH_LIMIT: Final = 0.015
-"""Largest correction [m]; our choice: a fingertip that does not follow so far can't reach the
+"""Largest correction [m]; our choice: a fingertip that does not follow that far can't reach the
 goal."""
 
 
@@ -58,7 +58,7 @@ class DelayedView(Generic[T]):
     """Queue of images that delays them.
 
     Args:
-        delay_s: delay of what is seen [s].
+        delay_s: delay of the images [s].
     """
 
     def __init__(self, delay_s: float) -> None:
@@ -82,7 +82,7 @@ class CrossoverCorrection:
 
     Args:
         gain: crossover frequency [rad/s].
-        threshold: errors shorter than this count as none [m]; longer ones lose this length.
+        threshold: length that is subtracted from each error [m]; shorter errors count as none.
         shape: shape of the correction, (..., 3).
         speed_limit: fastest change of each point [m/s].
         reach_limit: largest offset of each point [m].
@@ -104,11 +104,11 @@ class CrossoverCorrection:
         """Integrates over an interval.
 
         Args:
-            error: (..., 3) wanted minus seen [m], as old as the person's delay.
-            seconds: since the last call [s].
+            error: (..., 3) wanted minus seen position [m], as old as the person's delay.
+            seconds: time since the last call [s].
 
         Returns:
-            the correction (..., 3) [m].
+            (..., 3) correction [m].
         """
         size = np.linalg.norm(error, axis=-1, keepdims=True)
         felt = error * np.maximum(size - self._threshold, 0.0) / np.maximum(size, 1e-12)
@@ -133,18 +133,18 @@ class _Image:
 
 
 class VirtualOperator:
-    """Hand of a person who does a trial; a ``LandmarkSource``.
+    """Hand of a person in a trial; a ``LandmarkSource``.
 
     Args:
-        practised: trials of the task before this one, with any retargeter.
-        practised_here: trials before this one with this retargeter.
-        lag_s: from the hand to the robot's motion [s], which slows a person down.
+        practised: number of earlier trials of the task, with any retargeter.
+        practised_here: number of earlier trials with this retargeter.
+        lag_s: lag from the hand to the robot's motion [s], which slows a person down.
 
     Attributes:
-        gave_up: the person can do no more.
-        wants_reset: the object is where the fingers can't work on it, and the person asks for it to
-            be put back.
-        attempts: how often the person began.
+        gave_up: True if the person can do no more.
+        wants_reset: True if the fingers can't work on the object where it is, and the person asks
+            for it to be put back.
+        attempts: number of attempts.
         body: the person's hand.
     """
 
@@ -190,10 +190,10 @@ class VirtualOperator:
         self.body.reach(self._own(self._goal), np.inf, rounds=40)
 
     def observe(self, time: float, state: SceneState, physics: ScenePhysics) -> None:
-        """Observes the robot; call it as often as the scene is scored.
+        """Observes the robot; call it whenever the scene is scored.
 
         Args:
-            time: since 'go' [s].
+            time: time since 'go' [s].
         """
         if self._tips is None:
             self._tips = SeenTips(physics)
@@ -220,7 +220,7 @@ class VirtualOperator:
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"]:
-        """Landmarks (21, 3) of the person's hand [m], with the wrist at the origin; see
+        """(21, 3) landmarks of the person's hand [m], with the wrist at the origin; see
         ``LandmarkSource``."""
         seconds = 0.0 if np.isnan(self._last) else max(0.0, time - self._last)
         self._last = time

@@ -1,6 +1,6 @@
 """Parameters of a virtual operator, drawn from published distributions of human movement.
 
-Each figure is from the literature named at it, or marked as ours. None was fitted to outcomes of a
+Each value is from the cited literature, or marked as our choice. None was fitted to outcomes of a
 study of retargeters.
 """
 
@@ -17,7 +17,7 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.synthetic.hand_anatomy import HandAnatomy, draw_anatomy
 
 PHASE_MARGIN: Final = np.radians(35.0)
-"""Smallest phase margin of the visual loop [rad]. People lower their gain where the delay is long
+"""Smallest phase margin of the visual loop [rad]. People lower their gain if the delay is long
 (McRuer and Jex 1967); 35 degrees is the lower end of what they keep in tracking."""
 
 _EXTRA_DELAY_S: Final = 0.05
@@ -31,28 +31,29 @@ class Person:
 
     Attributes:
         number: number of the person, from 0.
-        delay_s: from an image to the correction that it causes [s]. 0.20 +- 0.025 (Keele and Posner
-            1968: 190 to 260 ms; Saunders and Knill 2003: 160 to 200 ms).
+        delay_s: time from an image to the correction that it causes [s]. 0.20 +- 0.025 (Keele and
+            Posner 1968: 190 to 260 ms; Saunders and Knill 2003: 160 to 200 ms).
         crossover: gain of the correction [rad/s]: Y_p Y_c = crossover exp(-delay s) / s. 3.0 +- 0.7
             (McRuer and Jex 1967: 2 to 5 rad/s), and never beyond a phase margin of 35 degrees.
-        threshold_m: errors smaller than this are not corrected [m]. 0.5 to 1.5 mm; ours: some times
-            the acuity of the eye at half a metre (0.15 mm), as depth is seen less well.
-        tolerance_m: a fingertip that is seen this near its goal is there [m]. 3 +- 0.5 mm; ours,
-            a third of the width of a fingertip's pad.
+        threshold_m: errors smaller than this are not corrected [m]. 0.5 to 1.5 mm; our choice:
+            several times the acuity of the eye at half a metre (0.15 mm), because depth is harder
+            to see.
+        tolerance_m: seen distance at which a fingertip has reached its goal [m]. 3 +- 0.5 mm; our
+            choice, a third of the width of a fingertip's pad.
         pace: duration of a movement over that of Fitts' law with lag (MacKenzie and Ware 1993).
-            Log-normal, spread 20 % (Fitts' intercepts and slopes between persons).
+            Log-normal with a spread of 20 % (Fitts' intercepts and slopes between persons).
         motor_noise: standard deviation of a movement over its length. 3 to 6 % (Harris and
             Wolpert 1998; Schmidt et al. 1979: 3 to 6 % of the distance in fast movements).
         tremor_m: root mean square of the tremor of a fingertip along an axis [m], in 8 to 12 Hz.
             0.03 to 0.15 mm (Stiles and Randall 1967; Elble and Koller 1990).
-        map_error: (5, 3) by how much the person misjudges where the robot's fingertips will go,
+        map_error: (5, 3) error of the person's estimate of where the robot's fingertips will go,
             after free movement and before any trial [m]. 4 mm along each axis, half of the variance
             shared by all fingers: the sense of position of finger joints is good to 2 to 4 degrees
             (Ferrell, Gandevia and McCloskey 1987), which is that much at the tip.
         practice: exponent of the power law of practice. 0.2 +- 0.05 (Newell and Rosenbloom 1981;
             Crossman 1959).
-        bone_factors: (5, 3) length of each finger bone over the expected one. 5 %, 10 % at most;
-            ours.
+        bone_factors: (5, 3) length of each finger bone over the expected one. 5 %, at most 10 %;
+            our choice.
         anatomy: anatomy of the hand. Length 190 +- 10 mm for one half, 175 +- 9 mm for the other
             (Pheasant and Haslegrave 2006: British men and women); bones as ``draw_anatomy``.
     """
@@ -71,10 +72,10 @@ class Person:
     anatomy: HandAnatomy
 
     def practised(self, trials: float) -> float:
-        """Share of a beginner's time or error that remains after a number of trials.
+        """Fraction of a beginner's time or error that remains after a number of trials.
 
-        The power law of practice with earlier experience, (1 + n / E)^-a, where E is the experience
-        that a person has before the first trial, in trials. E is 5 (ours): two minutes of free
+        This is the power law of practice with earlier experience, (1 + n / E)^-a, where E is the
+        experience before the first trial, in trials. E is 5 (our choice), for two minutes of free
         movement.
         """
         return float((1.0 + trials / 5.0) ** -self.practice)
@@ -86,7 +87,7 @@ def largest_crossover(delay_s: float) -> float:
 
 
 def draw_person(number: int, seed: int = 0) -> Person:
-    """Draws a person, the same for the same number and seed."""
+    """Draws a person, who depends only on number and seed."""
     if number < 0 or seed < 0:
         raise ConfigError(f"number and seed of a person must be 0 or more, not {number} and {seed}")
     rng = np.random.default_rng([seed, number, 0x0E])
@@ -162,9 +163,9 @@ class MotorNoise:
         """Advances the noise; returns the displacement.
 
         Args:
-            time: now [s].
-            moved: (f, 3) how far each fingertip was to move since the last call [m].
-            seconds: since the last call [s].
+            time: current time [s].
+            moved: (f, 3) intended motion of each fingertip since the last call [m].
+            seconds: time since the last call [s].
         """
         keep = np.exp(-seconds / _CORRELATED_S)
         self._colour = keep * self._colour + np.sqrt(1 - keep**2) * self._rng.normal(

@@ -1,11 +1,11 @@
 """Strategies of people for the tasks: steps for the fingertips that depend on the seen object.
 
 A strategy is a generator. It yields the next step and receives what the person sees when the step
-is over, so that strokes are repeated until the goal is seen, and what slipped is taken again.
-Strategies follow the instructions of the tasks: the card is pressed, drawn over the edge and
-pinched from below; the cube is gripped, turned as far as the fingers reach, let go and gripped
-again; the screwdriver is taken between thumb and fingers, and the grip loosened until it hangs.
-Where on the object a hand can do that follows from its kinematics, so that any hand has strategies.
+is over, so strokes are repeated until the goal is reached, and an object that slipped is taken
+again. Strategies follow the instructions of the tasks: the card is pressed, drawn over the edge and
+pinched from below; the cube is gripped, turned as far as the fingers reach, released and gripped
+again; the screwdriver is taken between thumb and fingers, and the grip loosened until it hangs. The
+positions of the fingertips on the object follow from the hand's kinematics, so they suit any hand.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from smooth_operator_research.virtual_operator.hand_model import GripReach
 
 THUMB: Final = 0
 PAD_M: Final = 0.004
-"""From a fingertip's landmark to the surface of its pad [m]."""
+"""Distance from a fingertip's landmark to the surface of its pad [m]."""
 
 PRESS_M: Final = 0.002
 """Depth beyond the object's surface to which a person presses in the first attempt [m]; our
@@ -65,10 +65,10 @@ class Observation:
     """The scene as a person sees it at one moment.
 
     Attributes:
-        state: the object.
-        scorer: how far the task is.
+        state: state of the object.
+        scorer: scorer of the task, with its progress.
         tips: (f, 3) the robot's fingertips in the world [m], thumb first.
-        sent: (f, 3) where the person had sent them.
+        sent: (f, 3) positions to which the person had sent them [m].
     """
 
     state: SceneState
@@ -86,16 +86,16 @@ class Step:
     """Next movement of a person.
 
     Attributes:
-        aims: share of the movement from 0 to 1, and what is seen -> where fingertips go.
-        until: the step is over as soon as this is seen; None: when the fingertips are in place.
-        presses: fingers that press on the object; their place is not corrected.
-        longest_s: a wait for ``until`` or for fingertips that do not arrive ends after this [s].
-        seconds: least duration of the movement [s].
-        via: only passed on the way: the person does not wait and does not correct.
-        path: whether the aims go from start to end with the share; otherwise the person goes
-            straight to them.
-        attempt: whether another attempt begins with it.
-        reset: ask for the object to be put back, as the step begins.
+        aims: fraction of the movement from 0 to 1, and what is seen -> goals of the fingertips.
+        until: condition that ends the step once it is seen; None: the fingertips are in place.
+        presses: fingers that press on the object; their position is not corrected.
+        longest_s: longest wait for ``until`` or for fingertips that do not arrive [s].
+        seconds: shortest duration of the movement [s].
+        via: True for a point on the way, where the person neither waits nor corrects.
+        path: True if the goals move from start to end with the fraction; otherwise the person
+            moves straight to them.
+        attempt: True if a new attempt begins with the step.
+        reset: True to ask for the object to be put back when the step begins.
     """
 
     aims: Callable[[float, Observation], Aims]
@@ -123,8 +123,8 @@ class Closing:
 
     Args:
         inward: finger -> direction in which it closes.
-        press: how far fingers press beyond the place of the contact [m].
-        opened: how far fingers are from the surface at first [m].
+        press: depth to which fingers press beyond the point of contact [m].
+        opened: initial distance of the fingers from the surface [m].
     """
 
     def __init__(self, wide: Aims, inward: Aims, press: float, opened: float = OPEN_M) -> None:
@@ -155,7 +155,7 @@ class Closing:
         return {f: p + press * self._inward[f] for f, p in (expected | self.contact).items()}
 
     def step(self) -> Step:
-        """The step: a slow movement until all fingers have been seen to touch."""
+        """Step with a slow movement until all fingers have been seen to touch."""
         return Step(
             self,
             lambda obs: self.complete,
@@ -172,7 +172,7 @@ def along(start: Aims, end: Aims) -> Callable[[float, Observation], Aims]:
 
 
 def turned(aims: Aims, centre: Float[np.ndarray, "3"], angle: float) -> Aims:
-    """Rotates fingertips about the vertical through a place."""
+    """Rotates fingertips about the vertical axis through a point."""
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return {finger: centre + turn @ (place - centre) for finger, place in aims.items()}

@@ -1,4 +1,4 @@
-"""Trial of a virtual operator: the person, the tracker, a retargeter, the physics."""
+"""Trial of a virtual operator: combines person, tracker, retargeter and physics."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Familiar:
     """A person who has learnt a retargeter by free movement.
 
     Attributes:
-        person: who.
-        retargeter: for the robot hand.
+        person: the person.
+        retargeter: retargeter for the robot hand.
         body: the person's hand.
-        model: what the person has learnt.
+        model: the internal model that the person has learnt.
     """
 
     person: Person
@@ -76,11 +76,11 @@ class OperatorTrial:
     """Result of a trial of a virtual operator.
 
     Attributes:
-        outcome: score, time, reason.
-        attempts: how often the person began.
-        frames: that the retargeter received.
-        diverged: how often the physics diverged and was reset.
-        trace: what happened, at ``LOOKS_HZ``; None unless asked for.
+        outcome: score, time and reason.
+        attempts: number of attempts.
+        frames: number of frames that the retargeter received.
+        diverged: number of times that the physics diverged and was reset.
+        trace: record of the trial at ``LOOKS_HZ``; None unless requested.
     """
 
     outcome: Outcome
@@ -103,16 +103,16 @@ def simulate_trial(
     variation: ObjectVariation | None = None,
     trace: bool = False,
 ) -> OperatorTrial:
-    """Lets a person do a trial with a retargeter.
+    """Simulates a trial of a person with a retargeter.
 
     Args:
-        tracker: tracker that the person is before; its seed does not matter.
-        practised: trials of the task before this one, with any retargeter.
-        practised_here: trials before this one with this retargeter.
-        resets: how often the object may be put back: 0 or 1.
+        tracker: tracker that sees the person; its seed does not matter.
+        practised: number of earlier trials of the task, with any retargeter.
+        practised_here: number of earlier trials with this retargeter.
+        resets: number of times that the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
-        variation: variation of the object; None for the nominal one.
-        trace: keep what happened.
+        variation: variation of the object; None for the nominal object.
+        trace: True to record the trial.
     """
     scene, reach = _prepared(task.name, familiar.retargeter.hand)
     if variation is not None:
