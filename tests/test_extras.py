@@ -91,6 +91,19 @@ def test_the_base_needs_nine_distributions():
     assert names(PROJECT["dependencies"]) == BASE
 
 
+def test_the_lock_is_resolved_from_all_extras():
+    lines = (ROOT / "requirements.in").read_text(encoding="utf-8").splitlines()
+    requests = [line.removeprefix("-e ") for line in lines if line.startswith("-e ")]
+    named = {
+        ROOT / folder: {extra for extra in inner.strip("]").split(",") if extra}
+        for folder, _, inner in (request.partition("[") for request in requests)
+    }
+    for folder, given in named.items():
+        text = (folder / "pyproject.toml").read_text(encoding="utf-8")
+        offered = tomllib.loads(text)["project"].get("optional-dependencies", {})
+        assert given == set(offered), folder
+
+
 def test_every_extra_has_the_wing_that_it_is_part_of():
     extras = PROJECT["optional-dependencies"]
     assert sorted(extras) == sorted(EXTRAS)
