@@ -512,6 +512,27 @@ class XHand(Simulated):
         """There is nothing to close."""
 
 
+class DexHand021(Simulated):
+    driver, library, unit = "dexhand021", "can", 0.3
+
+    def start(self) -> None:
+        import can
+        from simulators.dexhand021_can import DexHand021 as SimulatedDexHand
+
+        channel = f"dexhand-{next(_channels)}-{os.getpid()}"
+        self.simulate(SimulatedDexHand("right"))
+        self._served = contextlib.ExitStack()
+        self._served.enter_context(serve_can(self.hand, can.Bus(channel, interface="virtual")))
+        table = self.on_another_hand("dexhand021", "tesollo_dg5f")
+        self.sink = f"dexhand021:virtual:{channel},table={table}"
+
+    def powered(self) -> bool:
+        return bool(self.hand.motors.powered.all())
+
+    def close(self) -> None:
+        self._served.close()
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -705,6 +726,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "aero": Aero,
     "dex3": Dex3,
     "xhand": XHand,
+    "dexhand021": DexHand021,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,

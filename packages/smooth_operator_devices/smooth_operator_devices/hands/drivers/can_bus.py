@@ -12,6 +12,7 @@ from smooth_operator.errors import SinkError
 from smooth_operator_devices.hands.device import DeviceLostError
 
 BITRATE: Final = 1_000_000
+DATA_BITRATE: Final = 5_000_000
 
 _INTERFACES: Final = {"linux": "socketcan", "win32": "pcan", "darwin": "slcan"}
 
@@ -30,22 +31,25 @@ class CanBus:
             ``pcan:PCAN_USBBUS1``, ``slcan:/dev/ttyACM0``. Without an interface: socketcan on Linux,
             pcan on Windows, slcan on macOS.
         driver: name of the driver, for messages.
+        fd: frames of CAN FD, with data at 5 Mbit/s.
 
     Raises:
         SinkError: the bus can't be opened.
     """
 
-    def __init__(self, port: str, driver: str) -> None:
+    def __init__(self, port: str, driver: str, *, fd: bool = False) -> None:
         import can
 
         interface, channel = can_port(port)
-        self._can, self._driver, self._port = can, driver, port
+        self._can, self._driver, self._port, self._fd = can, driver, port, fd
         self._sending = threading.Lock()  # frames of two threads must not mix on a serial adapter
         try:
-            self._bus: Any = can.Bus(interface=interface, channel=channel, bitrate=BITRATE)
+            more = {"fd": True, "data_bitrate": DATA_BITRATE} if fd else {}
+            self._bus: Any = can.Bus(interface=interface, channel=channel, bitrate=BITRATE, **more)
         except (can.CanError, OSError, ValueError, ImportError, NotImplementedError) as error:
             up = (
                 f"ip link set {channel} up type can bitrate {BITRATE}"
+                + (f" dbitrate {DATA_BITRATE} fd on" if fd else "")
                 if interface == "socketcan"
                 else "see the interfaces of python-can"
             )
@@ -61,7 +65,12 @@ class CanBus:
             DeviceLostError: the adapter is gone, or no device on the bus acknowledges.
         """
         message = self._can.Message(
-            arbitration_id=identifier, data=data, is_extended_id=False, is_remote_frame=remote
+            arbitration_id=identifier,
+            data=data,
+            is_extended_id=False,
+            is_remote_frame=remote,
+            is_fd=self._fd,
+            bitrate_switch=self._fd,
         )
         try:
             with self._sending:
