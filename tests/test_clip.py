@@ -71,7 +71,7 @@ def test_a_clip_shows_every_hand_in_real_time(made, suffix):
 def test_what_can_be_mended_is_said(made, capsys):
     names = [str(made / name) for name in ("out.npz", "hand.npz")]
     assert main(["view", *names, "--save", str(made / "clip.mp4")]) == 2
-    assert "a clip is a .gif or a .webp, not 'clip.mp4'" in capsys.readouterr().err
+    assert "a clip must be a .gif or a .webp file, not 'clip.mp4'" in capsys.readouterr().err
     assert main(["view", *names, "--frames", "x", "--save", str(made / "clip.gif")]) == 2
     assert not (made / "clip.gif").exists()
 

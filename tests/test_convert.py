@@ -716,7 +716,7 @@ def test_existing_outputs(tmp_path, run):
         assert run(source, "--output", target, "--quiet")[0] == 0
         before = read_episode(target)
         status, err = run(source, "--output", target, "--task", "new")
-        assert (status, "it exists already; add --overwrite" in err) == (2, True), err
+        assert (status, "it already exists; add --overwrite" in err) == (2, True), err
         assert_same(before, read_episode(target))
         assert run(source, "--output", target, "--task", "new", "--overwrite")[0] == 0
         assert read_episode(target).task == "new"
@@ -807,7 +807,10 @@ def test_invalid_requests(tmp_path, run):
     write_episode(a, episode(name="a"))
     write_episode(b, episode(name="b"))
     for arguments, match in (
-        ((a, "--output", tmp_path / "x.csv"), "belongs to no format: use .mcap, .npz, .h5"),
+        (
+            (a, "--output", tmp_path / "x.csv"),
+            "does not belong to any format: use .mcap, .npz, .h5",
+        ),
         (
             (a, "--output", tmp_path / "x.npz", "--to", "mcap"),
             "the suffix of npz, but --to is mcap",

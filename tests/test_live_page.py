@@ -612,7 +612,7 @@ def test_whatever_fails_or_waits_a_stop_from_the_page_stops(talk, capfd):
     eventually(lambda: len(session.done) == 4)
     said = capfd.readouterr().err
     assert said.count(trouble) == 1
-    assert "a click on the page: KeyError: 'keep'" in said
+    assert "a click on the page failed: KeyError: 'keep'" in said
     assert not talk.page.trouble
 
 

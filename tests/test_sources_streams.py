@@ -132,7 +132,7 @@ def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
         (text(stamp=10**400), "a whole number has 401 digits"),
         (text(stamp=1.7e12), "milliseconds (multiply by 0.001)"),
         (text(timestamp=1.7e18), "nanoseconds"),
-        (text(valid=[True]), "21 times true or false"),
+        (text(valid=[True]), "21 values true or false"),
         (text(valid=["yes"] * 21), "true or false"),
         (text(metacarpals=[[0, 0, 0]]), "'metacarpals' must have shape (4, 3)"),
         (text(hands=5), "list of objects"),

@@ -373,7 +373,7 @@ def test_the_command_line_converts_a_video(media, clip, tmp_path, monkeypatch):
 @pytest.mark.shared
 def test_a_missing_hand_is_an_error(media, clip):
     config, told = PictureConfig(model=media / "hand_landmarker.task"), []
-    with pytest.raises(RecordingError, match="no left hand is in any of its 40 pictures"):
+    with pytest.raises(RecordingError, match="no left hand is seen in any of its 40 pictures"):
         track_video(clip, side="left", config=config, progress=lambda *at: told.append(at))
     assert told[-1] == (40, 40)
 

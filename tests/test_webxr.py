@@ -319,7 +319,7 @@ def test_pings_bring_clock_mode_and_state_and_a_page_can_stop_the_loop(host):
     assert before < answer["host"] < time.perf_counter()
     state = host.source.link
     assert (state.round_trip_s, state.clock_offset_s, state.tracking) == (0.004, 71.5, True)
-    host.says("no hands are sent")
+    host.says("it sends no hands")
     link.send(message(right=np.full((25, 8), np.nan, "<f4")))  # a hand that is out of sight
     assert not np.isfinite(host.arrival("right").frame.landmarks).any()
     link.send(message(right=joints()))
@@ -341,7 +341,7 @@ def test_a_lost_headset_comes_back_as_a_new_session_and_the_newest_wins(host):
         if expected == 2:
             link.socket.shutdown(socket.SHUT_RDWR)  # lost without a close
         link.close()
-        host.says("the headset is gone")
+        host.says("the headset has disconnected")
         assert host.source.health().state == "waiting"
     old, _ = host.welcome()
     new, session = host.welcome()
@@ -703,7 +703,7 @@ def test_a_headset_streams_both_hands(host, chromium, emulator):
     host.says("press Start")
     assert [p for p in problems if "WebSocket" not in p] == []
     page.context.close()
-    host.says("the headset is gone")
+    host.says("the headset has disconnected")
 
 
 def red(page: Any, low: float = 0.0, high: float = 1.0) -> float:

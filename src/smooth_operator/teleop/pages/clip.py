@@ -1,4 +1,4 @@
-"""A moving picture of a retargeted recording: the human hand and each robot hand, side by side."""
+"""Writes an animated picture of a retargeted recording: human and robot hands side by side."""
 
 from __future__ import annotations
 
@@ -50,20 +50,20 @@ def save_clip(
     """Writes a GIF or WebP that loops.
 
     Args:
-        runs: runs to draw: the human of the first, the robot of each.
+        runs: runs to draw: the human hand of the first run, and the robot hand of each.
         path: the file; ``.gif`` or ``.webp``.
-        track: wraps the pictures' numbers, for a progress bar.
+        track: wraps the iteration over the pictures, for a progress bar.
 
     Raises:
-        ConfigError: the suffix is another, or this machine can't draw with OpenGL.
-        RecordingError: the runs are not of the same frames and fingers.
+        ConfigError: the file has another suffix, or this machine can't draw with OpenGL.
+        RecordingError: the runs do not have the same frames and fingers.
         OutputError: the file can't be written.
     """
     from PIL import Image
 
     check_runs(runs)
     if path.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"a clip is a {' or a '.join(SUFFIXES)}, not {path.name!r}")
+        raise ConfigError(f"a clip must be a {' or a '.join(SUFFIXES)} file, not {path.name!r}")
     times = runs[0].times
     due = np.arange(times[0], times[-1] + 1e-9, 1.0 / RATE_HZ)
     rows = np.clip(np.searchsorted(times, due), 0, len(times) - 1)
@@ -97,11 +97,11 @@ def save_clip(
 
 
 class _Pane:
-    """The picture of one hand: the human's of a run, or its robot's with its own materials.
+    """Draws one hand of a run: the human hand, or the robot hand with its own materials.
 
     Args:
-        run: whose human hand, or which robot, it is.
-        robot: the run if it is the robot's; None for the human's.
+        run: the run whose human hand or robot hand is drawn.
+        robot: the run, to draw its robot hand; None to draw the human hand.
     """
 
     def __init__(self, run: Playback, robot: Playback | None) -> None:
@@ -132,7 +132,7 @@ class _Pane:
         self._aim(cloud)
 
     def draw(self, frame: int) -> UInt8[np.ndarray, "H W 3"]:
-        """The picture of a frame."""
+        """Draws a frame."""
         tips = self._tips[frame]
         if self._human is None:
             self._data.qpos[:] = self._qpos[frame]
@@ -154,7 +154,7 @@ class _Pane:
         return picture
 
     def _empty(self, picture: UInt8[np.ndarray, "H W 3"]) -> Bool[np.ndarray, "H W"]:
-        """The pixels without a hand: there MuJoCo draws black, as some robots are."""
+        """The pixels without a hand. MuJoCo draws them black, but some robots are black too."""
         black = picture.max(axis=-1) == 0
         if self._human is not None:
             return np.asarray(black)
@@ -164,7 +164,7 @@ class _Pane:
         return np.asarray(black & far)
 
     def close(self) -> None:
-        """Gives the OpenGL context back."""
+        """Frees the OpenGL context."""
         self._renderer.close()
 
     def _draw_human(self, scene: Any, points: Float[np.ndarray, "21 3"]) -> None:
@@ -190,7 +190,7 @@ class _Pane:
 
 
 def _palm(hand: Hand) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Rotation and origin of the palm in its model's world, where fingers hang from it."""
+    """Rotation and origin of the palm in its model's world."""
     data = mujoco.MjData(hand.model)
     mujoco.mj_kinematics(hand.model, data)
     palm = data.body(hand.spec.palm)

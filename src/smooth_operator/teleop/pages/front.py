@@ -1,7 +1,7 @@
-"""Port of a page in front of viser's: it checks each request, adds scripts and relays the rest.
+"""Server in front of viser's: it checks each request, adds scripts to the page and relays the rest.
 
-viser has no option for either. So viser listens on a loopback address that nothing else knows, and
-a server of this package stands before it.
+viser can neither check requests nor add scripts. So viser listens on a loopback address that
+nothing else knows, and a server of this package relays requests to it.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from smooth_operator.web.files import file_response, shielded
 from smooth_operator.web.listening import quiet_options
 
 ALIVE_PATH: Final = "/alive"
-"""Path that answers 204 while the clicks of a page arrive where they act, else 503."""
+"""Path that answers 204 while clicks on the page reach the program that acts on them, else 503."""
 
 _POLICY: Final = (
     "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
     "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""viser's page is one file with its script, from which it makes WebAssembly and workers. It loads
-nothing from elsewhere, and no page frames it."""
+"""Content security policy. viser's page is one file that contains its script, WebAssembly and
+workers; it loads nothing from elsewhere, and no other page may embed it in a frame."""
 _LARGEST: Final = 50 << 20  # size of the largest message [bytes], as in viser
 
 
 def hidden_address() -> str:
-    """A random loopback address, since a foreign page in a browser here can try the usual one."""
+    """A random loopback address, since a foreign page in a local browser can try the usual one."""
     if sys.platform == "darwin":  # which has only the usual one
         return "127.0.0.1"
     return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
@@ -56,12 +56,12 @@ class GuardedServer(viser.ViserServer):
     Args:
         host: address to listen on.
         port: a free port.
-        auth: check of each request.
-        alive: answer to ``ALIVE_PATH``, called from a thread of the server.
+        auth: checks each request.
+        alive: returns the answer to ``ALIVE_PATH``; called on a thread of the server.
 
     Attributes:
-        front: the port.
-        tab: element with the title of the browser's tab; None before there is one.
+        front: the server that listens on the port.
+        tab: element with the title of the browser's tab; None before it is created.
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class GuardedServer(viser.ViserServer):
         return self.front.port
 
     def stop(self) -> None:
-        """Closes the port; viser prints a line from a thread of its own."""
+        """Closes the port; viser then prints a line from its own thread."""
         self.front.stop()
         super().stop()
 
 
 class Front:
-    """The port: answers or refuses a request, or relays it to viser at ``behind`` (host, port).
+    """Server that answers or refuses a request, or relays it to viser at ``behind`` (host, port).
 
     Attributes:
         token: token of the page; None if only this machine can connect.
@@ -149,7 +149,7 @@ class Front:
         return None if "Upgrade" in request.headers else self._page(connection, request.path)
 
     def _page(self, connection: ServerConnection, path: str) -> Response:
-        """A file of viser's page, with the scripts at the beginning of the page itself."""
+        """A file of viser's page; the scripts are added at the beginning of the page itself."""
         viser_port = http.client.HTTPConnection(*self._behind, timeout=10.0)
         with contextlib.closing(viser_port):
             viser_port.request("GET", path)
@@ -188,14 +188,14 @@ async def _pass_on(source: Any, target: Any, passes: Callable[[str | bytes], boo
 
 
 def _is_message(message: str | bytes) -> bool:
-    """True if viser can read a message. It would print a traceback for another one."""
+    """True if viser can read a message. For any other message it would print a traceback."""
     with contextlib.suppress(msgspec.DecodeError, TypeError):
         return isinstance(message, bytes) and "type" in msgspec.msgpack.decode(message)
     return False
 
 
 def _not_a_client(connection: Any, request: Any) -> Any:
-    """Refuses a WebSocket that no viser page opens. viser would print a line for it."""
+    """Refuses a WebSocket that was not opened by a viser page; viser would print a line for it."""
     protocols = request.headers.get_all("Sec-WebSocket-Protocol")
     if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
         return None

@@ -1,4 +1,4 @@
-"""Browser page of one robot hand: shape, landmarks, palm frame, and a slider for each joint."""
+"""Browser page that shows one robot hand: shape, landmarks, palm frame, a slider for each joint."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class HandPage(PageServer):
     Args:
         hand: the robot hand.
         notes: first line of text in the panel.
-        drawn: the same hand on a model with meshes and the same joint names, in any order. With it
-            a switch shows meshes or simple shapes; None for simple shapes alone.
+        drawn: the same hand on a model with meshes and the same joint names, in any order. The page
+            then has a switch between meshes and simple shapes; None for simple shapes only.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class HandPage(PageServer):
             return self._q.copy()
 
     def set_joint(self, index: int, position: float) -> None:
-        """Moves an actuated joint to a position [rad] within its limits."""
+        """Moves an actuated joint to a position [rad], clipped to its limits."""
         with self._lock:
             low, high = self.hand.limits[index]
             self._q[index] = np.clip(position, low, high)
@@ -123,7 +123,7 @@ class HandPage(PageServer):
         gui.main_panel.dock_right()
         facts = [
             f"{spec.side} hand{', mirrored' if spec.mirror else ''}; {len(hand.fingers)} fingers; "
-            f"{len(hand.actuated)} joints actuated of {len(hand.joint_names)}",
+            f"{len(hand.actuated)} of {len(hand.joint_names)} joints actuated",
             *([spec.source] if spec.source else []),
             *([self._notes] if self._notes else []),
         ]
@@ -133,7 +133,7 @@ class HandPage(PageServer):
             shape.on_update(lambda _: self._show(visible=shape.value))
             if len(self._drawn) > 1:
                 meshes = gui.add_checkbox(
-                    "meshes", True, hint="the vendor's meshes, or simple shapes"
+                    "meshes", True, hint="show the vendor's meshes or simple shapes"
                 )
                 meshes.on_update(lambda _: self._show(meshes=meshes.value))
             self._toggle(gui, "landmarks", True, [self._balls, self._lines])
@@ -150,13 +150,13 @@ class HandPage(PageServer):
                     self._sliders += [self._slider(gui, i, rows[joint]) for i, joint in joints]
         self._followers: list[tuple[int, Any]] = []
         if hand.couplings:
-            with gui.add_folder("Joints that follow [rad]"):
+            with gui.add_folder("Coupled joints [rad]"):
                 for joint, row in enumerate(rows):
                     if not row.actuated:
                         self._followers.append((joint, self._slider(gui, None, row)))
 
     def _part(self, joint: int) -> str:
-        """Finger that a joint moves, or the palm."""
+        """Name of the finger that a joint moves, or of the palm."""
         body = self.hand.model.joint(self.hand.joint_names[joint]).bodyid[0]
         finger = self._view.finger_of_body[body]
         return "palm" if finger < 0 else self.hand.fingers[finger]

@@ -1,7 +1,6 @@
-"""A picture of a robot hand: shape, landmarks, palm frame and joint ranges, drawn without a GPU.
+"""Draws a robot hand without a GPU: shape, landmarks, palm frame and joint ranges.
 
-Triangles are sorted by depth and painted by Matplotlib, so it works where there is no display and
-no OpenGL.
+Matplotlib paints triangles sorted by depth, so this works without a display and without OpenGL.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ _COLORS: Final = 96  # of the PNG's palette: a fifth of the bytes, and no eye se
 
 
 def hand_figure(hand: Hand, *, simple: bool = False) -> Figure:
-    """Draws a hand from the palm and from the thumb's side, and a list of its joints.
+    """Draws a hand as seen from the palm's and the thumb's side, and a list of its joints.
 
     Args:
-        simple: draw simple shapes, though the model may have meshes.
+        simple: draw simple shapes even if the model has meshes.
     """
     from matplotlib.figure import Figure
 
@@ -64,11 +63,11 @@ def hand_figure(hand: Hand, *, simple: bool = False) -> Figure:
 
 
 def save_hand_picture(hand: Hand, path: str | Path, *, simple: bool = False) -> None:
-    """Writes ``hand_figure`` as a PNG with few colours.
+    """Writes ``hand_figure`` as a PNG with a reduced palette.
 
     Args:
         path: the file.
-        simple: draw simple shapes, though the model may have meshes.
+        simple: draw simple shapes even if the model has meshes.
 
     Raises:
         OutputError: the file can't be written.
@@ -88,7 +87,7 @@ def save_hand_picture(hand: Hand, path: str | Path, *, simple: bool = False) -> 
 def _draw_hand(
     axes: Axes, view: HandView, q: Float[np.ndarray, " m"], directions: Float[np.ndarray, "3 3"]
 ) -> None:
-    """One orthographic view; ``directions`` are right, up and toward the viewer."""
+    """Draws an orthographic view; ``directions`` are right, up and toward the viewer."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     fingers = finger_colors(len(view.hand.fingers)) / 255.0
@@ -154,7 +153,7 @@ def _draw_hand(
 
 
 def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
-    """Ranges as bars, the pose as marks."""
+    """Draws the joint ranges as bars and the pose as marks."""
     rows, every = joint_rows(hand), hand.full_configuration(q)
     for i, (row, value) in enumerate(zip(rows, every, strict=True)):
         low, high = np.rad2deg([row.low, row.high])
@@ -165,7 +164,7 @@ def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
     axes.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=6.5, color=_INK)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.tick_params(axis="x", labelsize=7, colors=_INK)
-    axes.set_xlabel("degrees; grey joints follow others, | is the pose", fontsize=7, color=_INK)
+    axes.set_xlabel("degrees; grey joints are coupled, | is the pose", fontsize=7, color=_INK)
     axes.axvline(0, color="#bbbbbb", linewidth=0.6, zorder=0)
     for name in ("top", "right", "left"):
         axes.spines[name].set_visible(False)

@@ -1,4 +1,4 @@
-"""Shape, colours and axes of a robot hand for pages and pictures, and the camera that sees it."""
+"""Shape, colours and axes of a robot hand for pages and pictures, and placement of the camera."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class HandView:
     """Surfaces of a robot hand and their poses in the palm frame [m].
 
-    With ``simple``, they are simple shapes even if the model has meshes.
+    With ``simple``, the surfaces are simple shapes even if the model has meshes.
     """
 
     def __init__(self, hand: Hand, *, simple: bool = False) -> None:
@@ -40,7 +40,7 @@ class HandView:
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """Rows right, up (distal) and toward a viewer who looks at the palm."""
+        """(3, 3) rows: right, up (distal) and toward a viewer who looks at the palm."""
         distal, radial, palmar = human_palm_axes(self.hand)
         # A viewer of the palm of a right hand has its thumb on the right.
         right = radial if self.hand.spec.side == "right" else -radial
@@ -65,7 +65,7 @@ class HandView:
         """The meshes, with the forearm cut off.
 
         Args:
-            below: length that remains below the wrist [m].
+            below: length of forearm to keep below the wrist [m].
             distal: unit vector along the forearm, toward the fingers.
         """
         poses, point = self.bodies(self.hand.neutral), self.hand.wrist - below * distal
@@ -88,7 +88,7 @@ class HandView:
         return cut or self.meshes
 
     def bones(self) -> list[tuple[int, int, int]]:
-        """(finger, from, to) of each line between landmarks, as indices into ``hand.tree``."""
+        """(finger, from, to) for each line between landmarks, as indices into ``hand.tree``."""
         names = self.hand.tree.names
         lines = []
         for number, finger in enumerate(self.hand.fingers):
@@ -103,13 +103,13 @@ _Parts = dict[int, list[trimesh.Trimesh]]  # body -> its surfaces
 
 
 def _merged(parts: _Parts) -> dict[int, trimesh.Trimesh]:
-    """Body -> all its surfaces as one mesh."""
+    """Merges all surfaces of each body into one mesh; returns body -> mesh."""
     merge: Any = trimesh.util.concatenate  # untyped: returns a mesh for meshes
     return {body: merge(pieces) for body, pieces in parts.items()}
 
 
 def _simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
-    """Body -> hulls of its self-collision capsules, one hull for each shape, in its frame [m]."""
+    """Body -> convex hulls of its self-collision capsules, one for each shape, in its frame [m]."""
     shapes: dict[tuple[int, int], list[Float[np.ndarray, "n 3"]]] = {}
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0).vertices
     for number, capsule in enumerate(hand_capsules(hand)):
@@ -126,14 +126,14 @@ def _simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
 _VISIBLE: Final = 1e-4  # radius of the smallest capsule that is drawn [m]
 _VISIBLE_GROUPS: Final = 3  # as in MuJoCo's viewer; collision shapes are usually in group 3
 _CREASE = np.deg2rad(35.0)
-"""Smallest angle of an edge that is drawn as one; averaged normals make CAD parts look inflated."""
+"""Angle from which an edge is drawn sharp. Averaged normals would make CAD parts look inflated."""
 
 _MOST_FACES = 20_000
-"""Largest number of triangles of a part. A browser draws each triangle in each picture, and LEAP's
+"""Largest number of triangles per part, since a browser draws all of them in every picture. LEAP's
 published parts have up to 87,000."""
 
 _SPECK = 5e-4
-"""Size of the smallest part that is drawn [m]. Some published models have stray specks far from the
+"""Size below which a part is not drawn [m]. Some published models have stray specks far from the
 hand, which would widen the picture."""
 
 
@@ -166,8 +166,8 @@ def body_meshes(
 ) -> dict[int, trimesh.Trimesh]:
     """Body -> mesh of its geoms in its frame [m].
 
-    Uses the geoms of the visible groups or, if there are none, all. Vertices are split along sharp
-    edges, so that averaged normals shade both curves and corners.
+    Uses the geoms of the visible groups or, if those are empty, all geoms. Vertices are split along
+    sharp edges, so that averaged normals shade both curves and corners well.
 
     Args:
         bodies: (nbody,) True for the bodies to use; None for all.
@@ -215,7 +215,7 @@ def finger_of_body(hand: Hand) -> Int[np.ndarray, " nbody"]:
 
 
 def _chain(model: mujoco.MjModel, body: int) -> set[int]:
-    """The body and its ancestors up to the world, which belongs to no finger."""
+    """The body and its ancestors, excluding the world."""
     chain = {0}
     while body:
         chain.add(body)
@@ -235,7 +235,7 @@ def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
 
 
 def coarser(mesh: trimesh.Trimesh, most: int = _MOST_FACES) -> trimesh.Trimesh:
-    """A surface with at most so many triangles: replaces vertices in a grid cell by their mean.
+    """Simplifies a mesh to at most ``most`` triangles; merges the vertices in each cell of a grid.
 
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations" (1993).
     """
@@ -269,9 +269,9 @@ FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """Colour of a pinching fingertip."""
 SIMULATED: Final[Rgb] = (240, 228, 66)
-"""Colour of the second of two robot hands in one place, visible only where it differs."""
+"""Colour of the second of two overlapping robot hands, visible only where they differ."""
 PALM: Final[Rgb] = (205, 205, 212)
-"""Colour of palm, wrist and all bodies that belong to no finger."""
+"""Colour of the palm, the wrist and all other bodies that do not belong to a finger."""
 
 
 def finger_colors(count: int) -> UInt8[np.ndarray, "F 3"]:
@@ -280,9 +280,9 @@ def finger_colors(count: int) -> UInt8[np.ndarray, "F 3"]:
 
 
 def linear(colors: UInt8[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
-    """sRGB colours as linear light, both 0 to 255.
+    """Converts sRGB colours to linear light, both 0 to 255.
 
-    viser reads the colours of instances and vertices as linear, those of nodes as sRGB.
+    viser interprets the colours of instances and vertices as linear, and those of nodes as sRGB.
     """
     value = np.asarray(colors, np.float64) / 255
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
@@ -290,7 +290,7 @@ def linear(colors: UInt8[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
 
 
 def css(color: Rgb | UInt8[np.ndarray, "3"]) -> str:
-    """A colour as ``#rrggbb``."""
+    """Formats a colour as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*(int(channel) for channel in color))
 
 
@@ -299,7 +299,7 @@ GAP = 0.03
 FOV = float(np.deg2rad(32.0))
 """Vertical field of view [rad]; narrow, so that both hands are seen from nearly one direction."""
 FOREARM = 0.03
-"""Length below the wrist that is in the picture [m]."""
+"""Length of forearm below the wrist that the picture shows [m]."""
 
 _MARGIN = 1.1
 _LABEL = 0.012  # height of a label above the highest fingertip [m]
@@ -309,12 +309,12 @@ _TILT = np.deg2rad(8.0)  # angle between camera and palm normal, which shows dep
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Places of hands side by side, in the palm frame [m].
+    """Placement of hands side by side, in the palm frame [m].
 
     Attributes:
         human_shift, robot_shifts: offsets of the human and of each robot hand.
         centre: middle of the picture.
-        tops: points above the human and each robot hand, before the shifts.
+        tops: points above the human hand and each robot hand, before the shifts.
         half: half width and half height of the picture.
     """
 
@@ -338,7 +338,8 @@ def camera_for(
     Args:
         axes, centre, half: the picture; see ``Aiming``.
         aspect: width / height of the canvas.
-        covered, above: shares of the canvas height that controls cover from below and from above.
+        covered, above: fractions of the canvas height that controls cover at the bottom and at the
+            top.
     """
     right, up, toward = axes
     tangent = np.tan(FOV / 2)
@@ -357,11 +358,12 @@ def plan(
     wrist: Float[np.ndarray, "3"],
     *robots: Float[np.ndarray, "_ 3"],
 ) -> Layout:
-    """Layout of a recording: the human hand, and each robot hand to its right.
+    """Computes the layout for a recording: the human hand, with each robot hand to its right.
 
     Args:
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
-        human: (T, 21, 3) landmarks [m], NaN if missing. If all are, the layout uses the robot's.
+        human: (T, 21, 3) landmarks [m], NaN if missing. If all are missing, the layout uses the
+            robot's size.
         wrist: (3,) wrist of one of the robots [m].
         robots: (N, 3) points that bound a robot hand over the recording [m].
     """
@@ -395,7 +397,8 @@ def plan(
 def _above(
     points: Float[np.ndarray, "N 3"], floor: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Bounds of a robot hand above the floor; with its forearm the picture would be too wide."""
+    """Bounds of the part of a robot hand above ``floor``; the whole forearm would take up too
+    much of the picture."""
     hand = points[points[:, 1] > floor]
     low, high = hand.min(axis=0), hand.max(axis=0)
     low[1] = max(points[:, 1].min(), floor)
@@ -403,7 +406,7 @@ def _above(
 
 
 def view_axes(view: HandView) -> Float[np.ndarray, "3 3"]:
-    """Rows right, up and toward the viewer in the palm frame, along its axes if those are close.
+    """(3, 3) rows: right, up and toward the viewer, snapped to the palm frame's axes if close.
 
     Models are built along their axes, and a forearm that leans by 10 degrees looks like an error.
     """
@@ -425,7 +428,7 @@ _MOST_BELOW, _MOST_ABOVE = 0.6, 0.2  # largest shares of a canvas that panels ta
 
 
 class Aiming:
-    """Points the cameras of all browsers at a picture.
+    """Aims the cameras of all browsers at a picture.
 
     Args:
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
@@ -459,7 +462,7 @@ class Aiming:
         camera.fov, camera.near, camera.far = FOV, 0.005, 50.0
 
     def aim(self, client: viser.ClientHandle) -> None:
-        """Points one browser's camera at the picture, for the shape of its canvas."""
+        """Aims one browser's camera at the picture, according to the shape of its canvas."""
         camera = client.camera
         height = max(camera.image_height, 1)
         panel = min(self._below / height, _MOST_BELOW)
@@ -479,8 +482,8 @@ class Aiming:
     def greet(self, client: viser.ClientHandle) -> None:
         """Aims a browser's camera, now and when its canvas changes shape.
 
-        A canvas changes when the panel docks, a window is resized or a phone turned. If a person
-        has moved the view, it stays.
+        A canvas changes when the panel docks, a window is resized or a phone is turned. If the user
+        has moved the view, it is left alone.
         """
         camera = client.camera
         before = (camera.image_width, camera.image_height), np.array(camera.position)
@@ -503,5 +506,5 @@ class Aiming:
         client.camera.on_update(check)
 
     def forget(self, client: viser.ClientHandle) -> None:
-        """Drops the commands to a browser that has left."""
+        """Forgets a browser that has disconnected."""
         self._aims.pop(client.client_id, None)

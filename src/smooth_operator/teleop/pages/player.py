@@ -1,4 +1,4 @@
-"""The player: a local web page that plays a retargeted recording."""
+"""Player for retargeted recordings, as a local web page."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ from smooth_operator.types import Status
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """A run for the player.
+    """A retargeted run for the player.
 
     Attributes:
         title: title of the page.
         hand: the robot hand.
         trace: the run, in the palm frame.
-        drawn: the same hand on a model with meshes and the same joint names, in any order. With it
-            a switch shows meshes or simple shapes; None for simple shapes alone.
-        label: label above the robot; with several robots, the origin of its motion.
+        drawn: the same hand on a model with meshes and the same joint names, in any order. The page
+            then has a switch between meshes and simple shapes; None for simple shapes only.
+        label: label above the robot; with several robots, it says how its motion was made.
 
     Raises:
-        RecordingError: there is no frame.
+        RecordingError: the run has no frames.
         HandModelError: the robot's positions are not finite.
     """
 
@@ -82,16 +82,16 @@ class Playback:
 
     @property
     def tips(self) -> list[int]:
-        """Landmarks of the human fingertips that drive the robot, thumb first."""
+        """Indices of the human fingertip landmarks that drive the robot, thumb first."""
         return [TIPS[FINGERS.index(name)] for name in self.trace.fingers]
 
     def pinches(self) -> Bool[np.ndarray, "T G"]:
-        """(T, F-1) True where the human pinches; False for a lost hand."""
+        """(T, F-1) True where the human pinches; False where the hand is lost."""
         return pinched_frames(self.trace.human_tips)
 
 
 def check_runs(runs: Sequence[Playback]) -> None:
-    """Raises RecordingError without a run, or for runs with different frames or fingers."""
+    """Raises RecordingError if there are no runs, or if their frames or fingers differ."""
     if not runs:
         raise RecordingError("there is nothing to play: pass at least one run")
     first = runs[0]
@@ -111,7 +111,7 @@ def check_runs(runs: Sequence[Playback]) -> None:
 
 
 class PlaybackClock:
-    """Maps wall time [s] to frames of a recording; a late player drops frames, not time."""
+    """Maps wall time [s] to frames of a recording; a slow player skips frames to stay on time."""
 
     def __init__(
         self, times: Float[np.ndarray, " T"], speed: float = 1.0, loop: bool = True
@@ -154,9 +154,9 @@ class PlaybackServer(PageServer):
     """Serves the page; see ``PageServer``. Any thread may call the controls; one thread draws.
 
     Args:
-        playback: motion to show; several runs over the same frames stand side by side.
-        host: address to listen on. By default only this machine reaches it; another address needs
-            the token that is in ``url``.
+        playback: motion to show; several runs over the same frames are shown side by side.
+        host: address to listen on. By default only this machine can reach the page; with another
+            address, the token in ``url`` is required.
         port: first port to try; 0 for any free one.
         loop: start over at the end.
     """
@@ -215,7 +215,8 @@ class PlaybackServer(PageServer):
         return self._playing
 
     def set_frame(self, index: int) -> None:
-        """Shows a frame, negative from the end; raises ConfigError for a missing frame."""
+        """Shows a frame; negative numbers count from the end. Raises ConfigError if out of
+        range."""
         count = len(self.playback)
         if not -count <= index < count:
             raise ConfigError(f"frame must be in {-count}..{count - 1}, not {index}")
@@ -223,7 +224,7 @@ class PlaybackServer(PageServer):
             self._go(index % count)
 
     def play(self) -> None:
-        """Starts playback, after the last frame from the beginning."""
+        """Starts playback; if the last frame is shown, from the beginning."""
         with self._change():
             at_end = self._frame == len(self.playback) - 1
             self._go(0 if at_end else self._frame)
@@ -239,14 +240,14 @@ class PlaybackServer(PageServer):
         (self.pause if self._playing else self.play)()
 
     def step(self, frames: int) -> None:
-        """Pauses and moves by a number of frames, across the ends if it loops."""
+        """Pauses and moves by a number of frames; wraps around if the recording loops."""
         with self._change():
             self._playing = False
             count, target = len(self.playback), self._frame + frames
             self._go(target % count if self._clock.loop else min(max(target, 0), count - 1))
 
     def scrub(self, frame: int) -> None:
-        """Goes to the frame of the slider; playback waits until the slider rests."""
+        """Goes to the slider's frame; playback waits until the slider stops moving."""
         with self._change():
             self._go(min(max(int(frame), 0), len(self.playback) - 1))
             self._held_until = time.monotonic() + _REST
@@ -259,7 +260,7 @@ class PlaybackServer(PageServer):
             self._clock.set_speed(speed, time.monotonic())
 
     def set_loop(self, loop: bool) -> None:
-        """Starts over at the end, or stops there."""
+        """Sets whether playback starts over at the end or stops there."""
         with self._change():
             self._clock.start(self._frame, time.monotonic())
             self._clock.loop = loop
@@ -275,7 +276,7 @@ class PlaybackServer(PageServer):
             self._jobs.append(lambda: self._scene.row.set_keyvectors(visible))
 
     def set_meshes(self, visible: bool) -> None:
-        """Shows the makers' meshes, or simple shapes."""
+        """Shows the vendors' meshes or simple shapes."""
         with self._change():
             self._jobs.append(lambda: self._scene.set_meshes(visible))
 
@@ -363,8 +364,8 @@ def serve(
     """Shows a recording in the browser.
 
     Args:
-        playback: motion to show; several runs over the same frames stand side by side.
-        host: address to listen on; this machine only by default.
+        playback: motion to show; several runs over the same frames are shown side by side.
+        host: address to listen on; by default only this machine can reach it.
         port: first port to try. The page's address is printed.
         open_browser: open the page if there is a desktop.
         block: wait for Ctrl-C and stop the server; otherwise the caller stops it.
@@ -382,7 +383,7 @@ def serve(
 
 
 class Scene:
-    """Nodes of the human hand of the first run and of the robot hand of each run."""
+    """3D scene with the human hand of the first run and the robot hand of each run."""
 
     def __init__(self, server: viser.ViserServer, runs: Sequence[Playback]) -> None:
         self._runs = tuple(runs)
@@ -423,13 +424,13 @@ class Scene:
             robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def set_meshes(self, visible: bool) -> None:
-        """Draws the makers' meshes, or simple shapes, if a run has both."""
+        """Draws the vendors' meshes or simple shapes, if a run has both."""
         for robot in self.robots:
             robot.show(meshes=visible)
 
 
 def _views(run: Playback) -> list[HandView]:
-    """The robot's looks, the simple one last."""
+    """The models with which the robot can be drawn, simple shapes last."""
     return [*([HandView(run.drawn)] if run.drawn else []), HandView(run.hand, simple=True)]
 
 
@@ -472,7 +473,7 @@ class Panel:
             (vectors, controls.set_keyvectors),
         ]
         if any(run.drawn is not None for run in runs):
-            hint = "the vendor's meshes, or simple shapes"
+            hint = "show the vendor's meshes or simple shapes"
             values.append((gui.add_checkbox("Meshes", True, hint=hint), controls.set_meshes))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         gui.add_html(legend(runs[0].trace.fingers))
@@ -492,7 +493,7 @@ class Panel:
         gui.main_panel.dock_right()
 
     def show(self, frame: int, playing: bool) -> None:
-        """Shows a frame's status line and slider, and what the button does."""
+        """Updates the status line, the slider and the play button for a frame."""
         self._status.content = status_line(self._runs, frame)
         self._slider.value = frame
         self._play.label = _PAUSE if playing else _PLAY
@@ -500,7 +501,7 @@ class Panel:
 
 
 def status_line(runs: Sequence[Playback], frame: int) -> str:
-    """Lines under the title as HTML: frame and time; status and solving time of each run."""
+    """Lines under the title, as HTML: frame and time; status and solving time of each run."""
     times = runs[0].times
     parts = (
         f"<b>frame {frame}</b>/{len(times) - 1}",

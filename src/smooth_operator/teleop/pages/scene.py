@@ -1,8 +1,9 @@
-"""Hands in a browser's scene: human hand, robot bodies, fingertips, keyvectors, labels.
+"""Draws hands in a browser's scene: human hand, robot bodies, fingertips, keyvectors, labels.
 
-All moving parts are batches of instances, also single bodies. viser draws the pose of a node in
-the next picture, but other properties in the one after it, so on a slow browser bodies and lines
-would be of different times. A batch has its poses as properties: one ``atomic`` block, one picture.
+All moving parts are batches of instances, even single bodies. viser draws the pose of a node in
+the next picture, but other properties in the picture after that, so that bodies and lines would
+show different times in a slow browser. A batch has its poses as properties, so all changes of one
+``atomic`` block appear in the same picture.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def add_balls(
     radii: Float[np.ndarray, " k"],
     colors: UInt8[np.ndarray, "k 3"],
 ) -> Any:
-    """Adds balls to a scene, as one node."""
+    """Adds spheres to a scene, as one node."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
     return scene.add_batched_meshes_simple(
         name,
@@ -59,7 +60,7 @@ def add_balls(
 
 
 class HumanView:
-    """Human hand of balls and rods, with landmarks ``tips`` as fingertips, thumb first."""
+    """Human hand drawn as spheres and rods; ``tips`` are its fingertip landmarks, thumb first."""
 
     def __init__(self, scene: viser.SceneApi, tips: Sequence[int], root: str) -> None:
         self._tips = np.array(tips)
@@ -92,7 +93,8 @@ class HumanView:
         )
 
     def draw(self, landmarks: Float[np.ndarray, "21 3"], pinched: Bool[np.ndarray, " G"]) -> None:
-        """Shows landmarks [m], NaN for missing ones, with the pinching tips larger and lit."""
+        """Shows landmarks [m], NaN for missing ones; pinching fingertips are larger and
+        highlighted."""
         present = np.isfinite(landmarks).all(axis=-1)
         points = np.where(present[:, None], landmarks, 0.0)
         lit = lit_tips(pinched)
@@ -113,12 +115,13 @@ class HumanView:
 
 
 def lit_tips(pinched: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " F"]:
-    """(F,) True for fingertips in a pinch; the thumb's is if any other one is."""
+    """(F,) True for fingertips in a pinch; the thumb's is True if any other is."""
     return np.concatenate([[pinched.any()], pinched])
 
 
 def keyvector_colors(fingers: int, pinched: Bool[np.ndarray, " G"]) -> UInt8[np.ndarray, "G 2 3"]:
-    """(F-1, 2, 3) linear colours of the thumb-to-tip lines: the finger's own, or the highlight."""
+    """(F-1, 2, 3) linear colours of the thumb-to-tip lines: the finger's colour or the
+    highlight."""
     colors = np.where(pinched[:, None], np.array(HIGHLIGHT), finger_colors(fingers)[1:])
     return np.repeat(linear(colors)[:, None], 2, axis=1)
 
@@ -157,7 +160,7 @@ def add_body(
         opacity: 0 to 1; None for solid.
         scale: scale of the surface and of its positions.
         size: scale of the surface alone.
-        flat: shade each face by itself.
+        flat: shade each face separately.
     """
     return scene.add_batched_meshes_simple(
         name,
@@ -181,10 +184,11 @@ def put(
     wxyz: Float[np.ndarray, "4"],
     pose: Float[np.ndarray, "7"] | None = None,
 ) -> None:
-    """Moves a node of ``add_body`` to a position [m] and quaternion.
+    """Moves a node from ``add_body`` to a position [m] and quaternion.
 
     Args:
-        pose: pose of their frame in the node's parent; None if they are in the parent's frame.
+        pose: pose, in the node's parent, of the frame in which position and quaternion are given;
+            None if that is the parent's frame.
     """
     if pose is not None:
         at, turn = np.empty(3), np.empty(4)
@@ -194,7 +198,7 @@ def put(
 
 
 class BodyNodes:
-    """Nodes of the bodies of a model, with the settings of ``add_body``.
+    """Draws the bodies of a model, with the settings of ``add_body``.
 
     Args:
         owner: (nbody,) finger of each body, -1 for the palm.
@@ -235,7 +239,7 @@ class BodyNodes:
     def draw(
         self, qpos: Float[np.ndarray, " nq"], pose: Float[np.ndarray, "7"] | None = None
     ) -> None:
-        """Shows joint positions; ``pose`` is that of the model's world, see ``put``."""
+        """Shows joint positions; ``pose`` is the pose of the model's world, see ``put``."""
         self._place(qpos)
         for body, node in self.nodes.items():
             put(node, self.data.xpos[body].copy(), self.data.xquat[body].copy(), pose)
@@ -252,7 +256,7 @@ class BodyNodes:
         )
 
     def show(self, visible: bool, opacity: float | None) -> None:
-        """Shows or hides the bodies; opacity None is solid."""
+        """Shows or hides the bodies; None as opacity draws them solid."""
         for node in self.nodes.values():
             node.visible, node.opacity = visible, opacity
 
@@ -262,10 +266,10 @@ class BodyNodes:
 
 
 class RobotBodies:
-    """A robot hand in its palm frame, and a translucent second one, visible where it differs.
+    """Draws a robot hand in its palm frame, and a translucent second one where it differs.
 
     Args:
-        hand: the robot hand, which has the order of the joints.
+        hand: the robot hand, which defines the order of the joints.
         view: the same hand on the model to draw, with the same joint names in any order.
         root: name of the parent node, in the palm frame.
         meshes: body -> its surface.
@@ -309,14 +313,14 @@ class RobotBodies:
         return np.asarray(corners @ matrix.reshape(3, 3).T + self._pose[:3])
 
     def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
-        """Positions of the drawn model, whose further joints rest."""
+        """Joint positions of the drawn model; joints that only it has stay at rest."""
         positions = self._rest.copy()
         positions[self._order] = every
         return self._drawn.qpos(positions)
 
 
 class RobotLooks:
-    """A robot hand with a switch between the maker's meshes and simple shapes; see ``RobotBodies``.
+    """Draws a robot hand with the vendor's meshes or with simple shapes; see ``RobotBodies``.
 
     Args:
         views: the hand on the models to draw, simple shapes last.
@@ -348,11 +352,11 @@ class RobotLooks:
 
     @property
     def shown(self) -> RobotBodies:
-        """The current look."""
+        """The bodies that are currently shown."""
         return self._looks[0 if self.meshes else -1]
 
     def add(self, view: HandView) -> None:
-        """Adds a look before the others."""
+        """Adds a model, to be preferred to the others."""
         name, distal = f"{self._root}_{len(self._looks)}", self._distal
         meshes = view.meshes if distal is None else view.without_forearm(FOREARM, distal)
         look = RobotBodies(self._scene, self._hand, view, name, meshes, self._second)
@@ -388,7 +392,7 @@ def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
 
 
 class TargetMarks:
-    """The method's target of each fingertip, with a line from the robot's tip."""
+    """Draws the method's target for each fingertip, with a line from the robot's fingertip."""
 
     def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
         palette = finger_colors(count)
@@ -400,7 +404,8 @@ class TargetMarks:
         )
 
     def draw(self, targets: Sequence[float] | None, tips: Float[np.ndarray, "F 3"]) -> None:
-        """Shows targets (3 F numbers) [m], None for a method without, and the robot's tips [m]."""
+        """Shows targets (3 F numbers) [m], None for a method without targets, and the robot's tips
+        [m]."""
         places = tips if targets is None else np.reshape(targets, (-1, 3))
         size = 0.0 if targets is None else _TARGET
         self._balls.batched_positions = places
@@ -413,9 +418,9 @@ class TargetMarks:
 
 
 class HandRow:
-    """A human hand and robot hands, each with a frame, a label, fingertips and keyvectors.
+    """Draws a human hand and robot hands, each with a frame, a label, fingertips and keyvectors.
 
-    The frames are named ``ROOT/NAME``. Fingertips in a pinch are larger and lit.
+    The frames are named ``ROOT/NAME``. Fingertips in a pinch are larger and highlighted.
 
     Args:
         human_tips: (F,) landmarks of the fingertips that drive the robots, thumb first.

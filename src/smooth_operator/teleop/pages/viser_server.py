@@ -1,4 +1,4 @@
-"""Base of the pages on viser: server, port, scripts, hotkeys, and the end with Ctrl-C."""
+"""Base of the pages that use viser: server, port, scripts, hotkeys, and ending with Ctrl-C."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from smooth_operator.web.browser import open_page
 
 
 def open_server(host: str, port: int, alive: Callable[[], bool] = lambda: True) -> GuardedServer:
-    """A server on the first free port.
+    """Opens a server on the first free port.
 
-    If other machines can reach it, it asks for the token that is in ``page_url``.
+    If other machines can reach it, it asks for the token that ``page_url`` contains.
 
     Args:
         port: first port to try; 0 for any free one.
-        alive: answer to ``ALIVE_PATH``, called from the server's thread.
+        alive: returns the answer to ``ALIVE_PATH``; called on the server's thread.
 
     Raises:
         ConfigError: the address is not one of this machine's, or no port is free.
@@ -43,12 +43,12 @@ def open_server(host: str, port: int, alive: Callable[[], bool] = lambda: True) 
 
 
 def read_script(package: str, name: str) -> str:
-    """Text of a file in a package."""
+    """Reads a text file of a package."""
     return resources.files(package).joinpath(name).read_text("utf-8")
 
 
 def name_panel(gui: viser.GuiApi, name: str) -> None:
-    """Gives a page its dark theme, and its panel a name."""
+    """Sets the dark theme of a page and the name of its panel."""
     gui.set_panel_label(name)
     gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
 
@@ -66,8 +66,8 @@ def page_url(host: str, server: GuardedServer) -> str:
     """Address of a page with its token.
 
     Args:
-        host: address on which it listens; for ``0.0.0.0`` and ``::`` the result has this machine's
-            address on its network.
+        host: address on which it listens; for ``0.0.0.0`` and ``::`` the result contains this
+            machine's address on its network.
     """
     if host in ("0.0.0.0", "::"):
         host = next(iter(lan_addresses()), "localhost")
@@ -80,25 +80,26 @@ _SIGNS: Final = re.compile(r"^(?:i(?=mport)|e(?=xport))|[!-/:-@\[-`{-~]")
 
 
 def plain(text: str) -> str:
-    """Markdown that shows a text letter by letter, in one line.
+    """Escapes a text as Markdown that shows it literally, in one line.
 
-    viser compiles Markdown as MDX, which can hold HTML and JavaScript. A text from a file must run
-    neither, so each sign with a meaning is replaced by its number.
+    viser compiles Markdown as MDX, which can contain HTML and JavaScript. A text from a file must
+    run neither, so each character with a special meaning is replaced by its numeric entity.
     """
     return _SIGNS.sub(lambda sign: f"&#{ord(sign[0])};", " ".join(text.split()))
 
 
 def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, Any, Callable[[], None]]) -> None:
-    """Adds commands: (name, key in viser's notation, action)."""
+    """Adds hotkeys: (name, key in viser's notation, action)."""
     for name, key, action in hotkeys:
         gui.add_command(name, hotkey=key).on_trigger(from_person(lambda _, do=action: do()))
 
 
 def from_person(action: Callable[..., None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-    """Wraps an action as a callback for events of people, which have a client.
+    """Wraps an action as a callback that only runs for events from a user's browser.
 
-    Handles also call back when the program writes a value. Coroutines run in order on the server's
-    event loop, plain functions in a pool without order.
+    viser also calls back when the program writes a value; such events have no client. The result is
+    a coroutine, since viser runs coroutines in order, but plain functions in a thread pool without
+    order.
     """
 
     async def callback(event: Any) -> None:
@@ -112,8 +113,8 @@ class PageServer:
     """Serves a page. Use it as a context manager, or call ``start`` and ``stop``.
 
     Args:
-        host: address to listen on. By default only this machine reaches it; another address needs
-            the token that is in ``url``.
+        host: address to listen on. By default only this machine can reach the page; with another
+            address, the token in ``url`` is required.
         port: first port to try; 0 for any free one.
     """
 
@@ -129,14 +130,14 @@ class PageServer:
         raise NotImplementedError
 
     def _build(self, server: GuardedServer) -> None:
-        """Puts all elements on the page, in one update of the browsers."""
+        """Adds all elements to the page, in one update of the browsers."""
         raise NotImplementedError
 
     def _begin(self, server: viser.ViserServer) -> None:
-        """Called when the page is built."""
+        """Called when the page has been built."""
 
     def _end(self) -> None:
-        """Called before the port is closed, also if the page was never started."""
+        """Called before the port is closed, even if the page was never started."""
 
     def start(self) -> Self:
         """Opens the port and shows the page; a second call does nothing.
@@ -164,7 +165,7 @@ class PageServer:
         self._ended.set()
 
     def wait(self) -> None:
-        """Blocks until ``stop``, or until the page fails; then raises its error."""
+        """Blocks until ``stop``, or until the page fails, and then raises its error."""
         while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
             pass
         if self._error is not None:
@@ -231,7 +232,7 @@ _TRIES = 100
 
 
 def free_port(host: str, port: int) -> int:
-    """The first free port from ``port`` on; 0 lets the system choose.
+    """Finds the first free port, starting at ``port``; 0 lets the system choose.
 
     Raises:
         ConfigError: the address is not one of this machine's, or no port is free.
@@ -255,7 +256,7 @@ def free_port(host: str, port: int) -> int:
                 "only, or 0.0.0.0 for the whole network"
             ) from None
         return candidate or bound[0]
-    raise ConfigError(f"no free port in {port}..{candidates[-1]} on {host}; name another port")
+    raise ConfigError(f"no free port in {port}..{candidates[-1]} on {host}; choose another port")
 
 
 def _bind(family: socket.AddressFamily, address: str, port: int) -> int:

@@ -1,4 +1,4 @@
-"""File formats of the live loop and its episodes: MCAP logs, HDF5 and LeRobot datasets."""
+"""Reads and writes recordings of the live loop: MCAP logs, and conversion to other formats."""
 
 from smooth_operator.lazy_names import public_names
 

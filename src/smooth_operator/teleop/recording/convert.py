@@ -1,4 +1,4 @@
-"""Reads episodes from files of any format, and writes them in any other."""
+"""Reads episodes from files of any supported format, and writes them in any other."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ SUFFIXES: Final[dict[str, Format]] = {
     ".h5": "hdf5",
     ".hdf5": "hdf5",
 }
-"""Format of an output by the suffix of its name; without a suffix it is a LeRobot dataset."""
+"""Suffix of an output's name -> format. An output without a suffix is a LeRobot dataset."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Source of one episode.
+    """File or dataset from which one episode is read.
 
     Attributes:
         path: the file, or the folder of a LeRobot dataset.
-        relative: path within the input folder; the name, for a file as input.
-        dataset: the dataset of the episode, if any.
+        relative: path within the input folder; for a single input file, its name.
+        dataset: the dataset that contains the episode, if any.
         number: number of the episode in the dataset.
     """
 
@@ -57,7 +57,7 @@ class Source:
     def read(
         self, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
     ) -> Episode:
-        """Reads it; see ``read_episode``.
+        """Reads the episode; see ``read_episode``.
 
         Raises:
             RecordingError, ConfigError, MissingExtraError: as the reader of its format.
@@ -77,19 +77,19 @@ def read_episode(
     layout: str | None = None,
     episode: int = 0,
 ) -> Episode:
-    """Read an episode, with the hand and the commands of a file of any format.
+    """Read an episode, that is, the hand and the commands of a file of any format.
 
     Args:
         path: a recording (see ``read_recording``), the ``OUT.npz`` of a retargeting, a log, an HDF5
             file or the folder of a LeRobot dataset, recognised by content.
         rate: frame rate [Hz], for a file without stamps.
-        side: side of the hand, for a file without one; by default right.
+        side: side of the hand, for a file that does not store it; by default right.
         layout: order of the landmarks in a plain array of 21, as in ``read_recording``, or in a
             LeRobot dataset of another tool.
         episode: number of the episode in a LeRobot dataset.
 
     Returns:
-        the episode; its ``notes`` are messages for a person.
+        the episode; its ``notes`` are messages for the user.
 
     Raises:
         RecordingError: as ``read_recording``.
@@ -124,11 +124,11 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
     Args:
         path: the file; its folder must exist.
-        to: format of the file; None for that of the suffix. ``write_dataset`` writes LeRobot
+        to: format of the file; None for the format of the suffix. ``write_dataset`` writes LeRobot
             datasets.
 
     Raises:
-        ConfigError: the suffix is that of no format.
+        ConfigError: the suffix does not belong to any format.
         MissingExtraError: the format needs an extra that is not installed.
         OutputError: the file can't be written.
     """
@@ -148,16 +148,16 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
 
 def losses(episode: Episode, to: Format) -> list[str]:
-    """Descriptions, for messages, of the parts of an episode that a format can't hold."""
+    """Describes, for messages, the parts of an episode that a format can't store."""
     lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
     return lost
 
 
 def format_of(path: Path, to: Format | None) -> Format:
-    """Format of an output.
+    """Determines the format of an output.
 
     Raises:
-        ConfigError: the suffix names none, or contradicts ``to``.
+        ConfigError: the suffix does not belong to any format, or contradicts ``to``.
     """
     named = SUFFIXES.get(path.suffix.lower())
     if to is not None:
@@ -166,13 +166,14 @@ def format_of(path: Path, to: Format | None) -> Format:
         if named not in (None, to):
             raise ConfigError(
                 f"the name {path.name!r} has the suffix of {named}, but --to is {to}; remove "
-                "--to, or choose another name"
+                "--to or choose another name"
             )
         return to
     if named is None and path.suffix and not path.is_dir():
         raise ConfigError(
-            f"the suffix of {path.name!r} belongs to no format: use {', '.join(SUFFIXES)}, "
-            "or no suffix for the folder of a LeRobot dataset, or set the format with --to"
+            f"the suffix of {path.name!r} does not belong to any format: use "
+            f"{', '.join(SUFFIXES)}, or no suffix for the folder of a LeRobot dataset, or set the "
+            "format with --to"
         )
     return named or "lerobot"
 
@@ -183,18 +184,19 @@ def find_sources(
     """Find all episodes in the inputs.
 
     Args:
-        inputs: files, datasets, and folders of these, which are searched to any depth, without
-            hidden files.
+        inputs: files, datasets, and folders of these. Folders are searched recursively; hidden
+            files are ignored.
         episode: number of the only episode of a dataset to use; None for all.
         leave: files and folders to ignore.
 
     Returns:
-        the sources, in the order of the inputs and of names; and notes on ignored files that are no
-        recordings.
+        the sources, in the order of the inputs and then of names; and notes on ignored files that
+        are not recordings.
 
     Raises:
-        RecordingError: an input does not exist, or a folder holds no recording.
-        ConfigError: an ``episode`` of what is no dataset, or one that it does not have.
+        RecordingError: an input does not exist, or a folder contains no recording.
+        ConfigError: ``episode`` is given for an input that is not a dataset, or does not exist in
+            it.
         MissingExtraError: an input needs an extra that is not installed.
     """
     sources: list[Source] = []
@@ -235,7 +237,7 @@ def find_sources(
 
 
 def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool) -> None:
-    """Check that an output can be written, without writing.
+    """Check that an output can be written, without writing it.
 
     Raises:
         OutputError: the output exists and ``overwrite`` is False, or it was not written by this
@@ -260,23 +262,24 @@ def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool
         )
     if not overwrite:
         raise OutputError(
-            f"can't write {str(path)!r}: it exists already; add --overwrite to replace it, or "
+            f"can't write {str(path)!r}: it already exists; add --overwrite to replace it, or "
             "choose another name"
         )
 
 
 def files_of(path: Path, to: Format) -> list[Path]:
-    """The files that writing an output may replace: itself, and its configuration."""
+    """The files that writing an output may replace: the output and its configuration."""
     return [path, config_path(path)] if to == "npz" else [path]
 
 
 def _logs() -> types.ModuleType:
-    """MCAP files, which need the extra ``teleop``: not imported for the other formats."""
+    """Imports the module for MCAP files. It needs the ``teleop`` extra, so other formats skip
+    it."""
     return importlib.import_module("smooth_operator.teleop.recording.log_episode")
 
 
 def _walk(folder: Path, left: set[Path]) -> Iterator[Path]:
-    """Files and datasets below a folder, by name."""
+    """Yields the files and datasets below a folder, sorted by name."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.resolve() in left:
             continue

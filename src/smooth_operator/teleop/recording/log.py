@@ -1,7 +1,7 @@
 """Writer of the project's own log: an MCAP file that grows chunk by chunk.
 
-MCAP was chosen because it is append-only, has many topics, opens in Foxglove, and can be read from
-the front without its index, so a crash leaves a readable recording.
+MCAP was chosen because it is append-only, supports many topics, opens in Foxglove, and can be read
+from the front without its index, so that a crash leaves a readable recording.
 """
 
 from __future__ import annotations
@@ -52,34 +52,34 @@ from smooth_operator.types import HandFrame, JointCommand, Side, Status
 _MAX_LOG_TIME: Final = 2**64 - 1
 _COMPRESSIONS: Final = ("zstd", "lz4", "none")
 _HEAD_BYTES: Final = 31
-"""Size of a message in a chunk without its data."""
+"""Size of a message in a chunk without its data [bytes]."""
 
 
 class LogWriter:
     """A crash-safe log of hand frames, commands, their status and timing, and the configuration.
 
-    Messages are collected in chunks; a chunk goes to the operating system when it is full, when it
-    is older than ``flush_seconds`` at the next write, on ``flush`` and on ``close``. After a crash,
-    ``read_log`` reads every complete chunk.
+    Messages are collected in chunks. A chunk is passed to the operating system when it is full,
+    when it is older than ``flush_seconds`` at the next write, on ``flush`` and on ``close``. After
+    a crash, ``read_log`` reads every complete chunk.
 
-    One log holds one hand and one robot. Use as a context manager; not thread-safe.
+    One log stores one hand and one robot. Use it as a context manager; it is not thread-safe.
 
     Attributes:
         path: the file.
-        commands_flushed: commands in the chunks that have reached the operating system.
+        commands_flushed: number of commands in chunks that have reached the operating system.
 
     Args:
         path: the file; its folder must exist.
         overwrite: replace an existing file.
         compression: compression of each chunk.
         chunk_bytes: size of a chunk before compression, which bounds the memory.
-        flush_seconds: longest time that a message waits for the disk while others come [s].
-        keypoints: computes the robot's landmarks for Foxglove; None for no robot.
+        flush_seconds: longest time that a message waits for the disk while others arrive [s].
+        keypoints: computes the robot's landmarks for Foxglove; None draws no robot.
 
     Raises:
-        OutputError: no folder, no permission, no space, or the file exists. After an error in
-            writing, the log takes no more messages; earlier ones stay readable.
-        ConfigError: an unknown compression, or a size or time that is not positive.
+        OutputError: there is no such folder, no permission or no space, or the file exists. After
+            an error in writing, the log accepts no more messages; earlier ones stay readable.
+        ConfigError: the compression is unknown, or a size or time is not positive.
 
     Example:
         >>> with LogWriter("session.mcap") as log:  # doctest: +SKIP
@@ -142,11 +142,11 @@ class LogWriter:
         """Append a hand frame.
 
         Args:
-            stamp: stamp in the log [s]; None for that of the frame.
+            stamp: stamp in the log [s]; None for the stamp of the frame.
 
         Raises:
             RecordingError: the frame is of the other hand, or its stamp is missing, not finite or
-                not after the last one.
+                not later than the last one.
             OutputError: as for the class.
         """
         stamp = frame.time if stamp is None else stamp
@@ -183,14 +183,14 @@ class LogWriter:
 
         Args:
             latency_ms: time from landmarks to command [ms].
-            stages: name of a stage -> its part of that time [ms].
+            stages: name of a stage -> its share of that time [ms].
             loop: state of the live loop, if any.
             wrist: command to the wrist, if any.
             arm: command to the arm that carries the hand, if any.
 
         Raises:
-            RecordingError: the joints differ from those of the previous command, there is not one
-                position for each joint, or the stamp is not finite.
+            RecordingError: the joints differ from those of the previous command, the number of
+                positions differs from that of the joints, or the stamp is not finite.
             OutputError: as for the class.
         """
         positions = np.asarray(command.joint_positions, np.float64)
@@ -245,12 +245,12 @@ class LogWriter:
         self._append(_nanoseconds(state.stamp), (STATE, message))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
-        """Append the resolved configuration, once.
+        """Append the resolved configuration; allowed once.
 
         It gets the time of the first frame, at which the time line of viewers begins.
 
         Raises:
-            ConfigError: it was written already, or has no JSON form.
+            ConfigError: it was already written, or can't be written as JSON.
             OutputError: as for the class.
         """
         if self._config is not None or self._config_written:
@@ -261,7 +261,7 @@ class LogWriter:
                 self._add_config()
 
     def write_origin(self, origin: Mapping[str, str]) -> None:
-        """Append the origin of the log, as a metadata record.
+        """Append a metadata record that states where the log came from.
 
         Args:
             origin: texts by name; ``smooth-operator convert`` writes ``name``, ``task`` and
@@ -273,13 +273,13 @@ class LogWriter:
         self._metadata(ORIGIN, origin)
 
     def write_method(self, stamp: float, method: str, preset: str, config: Any) -> None:
-        """Append the next method of the hand, as a metadata record.
+        """Append a metadata record for the method that drives the hand from now on.
 
         Args:
             stamp: stamp of its first command [s].
 
         Raises:
-            ConfigError: the configuration has no JSON form.
+            ConfigError: the configuration can't be written as JSON.
             OutputError: as for the class.
         """
         self._metadata(
@@ -296,7 +296,7 @@ class LogWriter:
         """Pass all messages so far to the operating system, as a separate chunk.
 
         Args:
-            sync: also wait until they are on the disk, against a power cut (milliseconds).
+            sync: also wait until they are on the disk and survive a power cut; takes milliseconds.
 
         Raises:
             OutputError: as for the class.
@@ -341,7 +341,7 @@ class LogWriter:
             self._end_chunk()
 
     def _append(self, at: int, *messages: tuple[str, Any]) -> None:
-        """Put messages into the chunk, at a time [ns]."""
+        """Add messages to the chunk, with a time [ns]."""
         if self._stream is None:
             self._check_open()
         self._log_time = at
@@ -418,7 +418,7 @@ class LogWriter:
 
 
 def _nanoseconds(stamp: float) -> int:
-    """Time for MCAP: whole nanoseconds, not before zero. The message has the exact stamp."""
+    """Time for MCAP: whole nanoseconds, not below zero. The message contains the exact stamp."""
     return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)
 
 

@@ -1,4 +1,4 @@
-"""Episodes as the project's own log (MCAP)."""
+"""Reads and writes episodes as this project's own log (MCAP)."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
 
 
 def write_log_episode(path: Path, episode: Episode) -> None:
-    """Writes a log: frames in order, each followed by the commands up to the next.
+    """Writes a log: frames in order, each followed by the commands up to the next frame.
 
     Raises:
         OutputError: it can't be written.
@@ -135,7 +135,7 @@ def _arm(track: ArmTrack | None, row: int) -> ArmCommand | None:
 
 
 def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[HandState, ...]:
-    """The measurements one by one."""
+    """Converts measured states to one object per measurement."""
     side: Side = "right" if recording is None else recording.side
     currents, touch = states.currents, states.touch
     return tuple(
@@ -154,7 +154,7 @@ def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[H
 
 
 def log_losses(episode: Episode) -> list[str]:
-    """Values of an episode that a log can't store: infinities become NaN."""
+    """Describes the values of an episode that a log can't store: infinities become NaN."""
     parts: list[tuple[str, np.ndarray | None]] = []
     if episode.recording is not None:
         recording = episode.recording
@@ -172,7 +172,7 @@ def log_losses(episode: Episode) -> list[str]:
 
 
 def is_own_log(path: Path) -> bool:
-    """True for a log of this program, by its index where that is whole."""
+    """True if a file is a log of this program; uses its index if that is complete."""
     try:
         topics = log_topics(path)
         if topics:

@@ -1,4 +1,4 @@
-"""Reader of the project's own log, complete or cut off."""
+"""Reader for this project's own log, which may have been cut off."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from smooth_operator.teleop.recording.messages import (
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 _MOST_BYTES: Final = 1 << 20
-"""Size limit of a message, except for the configuration. A usual message has 1 kB."""
+"""Largest size of a message, except for the configuration [bytes]. A typical message has 1 kB."""
 _MOST_STAGES: Final = 64  # each takes a number for every command
 _MOST_ARM_JOINTS: Final = 64
 _FLOAT_BYTES: Final = 8
@@ -70,18 +70,18 @@ _DAMAGE: Final = (
 
 
 class DamagedError(Exception):
-    """The following bytes are missing or damaged."""
+    """Raised where the following bytes of a log are missing or damaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class MethodUse:
-    """A method that drove a hand, from a time on.
+    """A method that drove a hand, and the time at which it began.
 
     Attributes:
         stamp: stamp of its first command [s].
         method: name of the method.
         preset: name of its preset.
-        config: its configuration, as JSON values.
+        config: its configuration as JSON values.
     """
 
     stamp: float
@@ -95,18 +95,19 @@ class Log:
     """Content of a log.
 
     Attributes:
-        recording: the hand frames; None if the log has no hand.
-        commands: the commands with their latencies and status, or None.
+        recording: the hand frames; None if the log contains none.
+        commands: the commands with their latencies and status; None if the log contains none.
         config: the resolved configuration, or None.
         truncated: True if the end is missing or damaged; the content is the part before it.
-        stages_ms: (T,) time of each stage of the loop [ms] by name, one value per command, NaN
-            for a command without the stage.
-        origin: origin of the log: ``name``, ``task``, ``meta`` (JSON).
-        loop: mode, events and more of each command, in the log of a live loop.
+        stages_ms: name of a stage of the loop -> (T,) its duration for each command [ms], NaN for
+            a command without the stage.
+        origin: where the log came from: ``name``, ``task``, ``meta`` (JSON).
+        loop: mode, events and more for each command, in the log of a live loop.
         states: measured joints of the robot hand, if there are any.
-        wrist: wrist command with each of the commands, if there is one.
-        arm: arm command with each of the commands, if there is one.
-        methods: methods of the hand in order, each until the next one's stamp, in a live log.
+        wrist: wrist commands that belong to the commands, if there are any.
+        arm: arm commands that belong to the commands, if there are any.
+        methods: methods that drove the hand, in order, in the log of a live loop. Each applies
+            until the stamp of the next.
     """
 
     recording: HandRecording | None
@@ -129,8 +130,8 @@ class Log:
 def read_log(path: str | os.PathLike[str]) -> Log:
     """Read a log that ``LogWriter`` wrote.
 
-    The file is read from the front, so a file without its end (a crash, a full disk) gives every
-    complete chunk. Landmarks are exact, or NaN if they were not finite.
+    The file is read from the front, so every complete chunk of a file without its end (after a
+    crash, on a full disk) is read. Landmarks are exact, or NaN if they were not finite.
 
     Args:
         path: the log.
@@ -139,8 +140,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         its content. ``read_recording`` also checks the units.
 
     Raises:
-        RecordingError: the file does not exist or is no MCAP log, is of another program or version,
-            or has invalid messages.
+        RecordingError: the file does not exist, is not an MCAP log, was written by another program
+            or version, or contains invalid messages.
     """
     path = Path(path)
     if file_kind(path) != "log":
@@ -175,10 +176,10 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 def read_log_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None = None
 ) -> HandRecording:
-    """The hand frames of a log.
+    """Reads the hand frames of a log.
 
     Raises:
-        RecordingError: as ``read_log``; there are no frames, or their side is not ``side``.
+        RecordingError: as ``read_log``; or there are no frames, or their side is not ``side``.
     """
     log = read_log(path)
     if log.recording is None:
@@ -189,10 +190,10 @@ def read_log_recording(
 
 
 def log_topics(path: Path) -> Mapping[str, int] | None:
-    """The topics of a log with the number of their messages, from the summary at its end.
+    """Reads a log's topics and the number of messages of each, from the summary at its end.
 
     Returns:
-        None where the log was cut off or has no summary.
+        None if the log was cut off or has no summary.
 
     Raises:
         OSError: the file can't be read.
@@ -216,7 +217,7 @@ def log_topics(path: Path) -> Mapping[str, int] | None:
 
 
 class _WholeReads:
-    """A stream that returns all requested bytes or raises EOFError, as the library does not."""
+    """Stream that returns all requested bytes or raises EOFError, which the library does not do."""
 
     def __init__(self, stream: IO[bytes], size: int) -> None:
         self._stream, self._size = stream, size
@@ -229,7 +230,7 @@ class _WholeReads:
 
 
 def _read_records(path: Path) -> Iterator[Any]:
-    """The channels, metadata and messages of a log, in order."""
+    """Yields the channels, metadata and messages of a log, in order."""
     size = path.stat().st_size
     allowance = Allowance.of(path, size, LOG_RATIO)
     unpacked = 0
@@ -255,7 +256,7 @@ def _read_records(path: Path) -> Iterator[Any]:
 
 
 def _stated_size(chunk: mcap_records.Chunk) -> int:
-    """Bytes that a chunk unpacks to, by its record or its Zstandard frame."""
+    """Uncompressed size of a chunk [bytes], according to its record or its Zstandard frame."""
     if chunk.compression != "zstd":
         return max(chunk.uncompressed_size, len(chunk.data) if not chunk.compression else 0)
     return max(chunk.uncompressed_size, zstandard.frame_content_size(chunk.data))
@@ -281,7 +282,7 @@ def _unpacked(chunk: mcap_records.Chunk, path: Path) -> bytes:
 
 
 def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
-    """Messages by topic, metadata, and True if the end of the file is missing."""
+    """Reads messages by topic, metadata, and True if the end of the file is missing."""
     tables = {topic: _Table(topic) for topic in SCHEMAS}
     channels: dict[int, _Table] = {}
     foreign: set[str] = set()
@@ -307,7 +308,7 @@ def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
     if foreign and not any(tables.values()):
         raise RecordingError(
             f"{path}: an MCAP file of another program, with the topics "
-            f"{listed(sorted(foreign))}; if it is a bag of ROS 2, play it (ros2 bag play) and read "
+            f"{listed(sorted(foreign))}; if it is a ROS 2 bag, play it (ros2 bag play) and read "
             "the topic of the hand live: smooth-operator teleop --source ros2"
         )
     return tables, metadata, truncated
@@ -320,7 +321,7 @@ def _is_own(channel: Any, path: Path) -> bool:
         return False
     if version != VERSION:
         raise RecordingError(
-            f"{path}: the log is of version {version[:20]}, this program reads version "
+            f"{path}: the log has version {version[:20]}, but this program reads version "
             f"{VERSION}; if a newer version wrote it, upgrade: {UPGRADE}"
         )
     return True
@@ -402,11 +403,11 @@ class _Table:
         return _finite(values).reshape(len(rows), *shape)
 
     def optional(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."] | None:
-        """As ``matrix``; None if the field is empty in all messages."""
+        """Like ``matrix``, but None if the field is empty in all messages."""
         return self.matrix(name, *shape) if any(map(len, self.column(name))) else None
 
     def present(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:
-        """As ``matrix``, of a field that must not be empty."""
+        """Like ``matrix``, for a field that must not be empty."""
         if all(shape) and not all(map(len, self.column(name))):
             raise ValueError(f"a message has no {name}")
         return self.matrix(name, *shape)
@@ -416,11 +417,11 @@ class _Table:
         values = self.column(name)
         other = next((value for value in values if value != values[0]), None)
         if other is not None:
-            raise ValueError(f"{what} changes: {_brief(values[0])}, {_brief(other)}")
+            raise ValueError(f"{what} changes from {_brief(values[0])} to {_brief(other)}")
         return values[0] if isinstance(values[0], str) else tuple(values[0])
 
     def places(self, commands: Sequence[int]) -> Int[np.ndarray, " C"]:
-        """Row of each command: the last row with its number, or -1."""
+        """Row of the table for each command: the last row with its sequence number, or -1."""
         rows = {number: row for row, number in enumerate(self.numbers)}
         return np.array([rows.get(number, -1) for number in commands], np.int64)
 
@@ -430,7 +431,7 @@ def _brief(value: Any) -> str:
 
 
 def _spread(values: np.ndarray, places: Int[np.ndarray, " C"], absent: Any) -> np.ndarray:
-    """Row of a table for each command, by ``_Table.places``; ``absent`` without one."""
+    """Value for each command, from the rows of ``_Table.places``; ``absent`` without a row."""
     spread = np.full((len(places), *values.shape[1:]), absent, values.dtype)
     there = places >= 0
     spread[there] = values[places[there]]
@@ -446,7 +447,7 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 
 def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | None:
-    """The hand frames; None without any."""
+    """Reads the hand frames; None if there are none."""
     if not table:
         return None
     side, _ = check_side(set(table.column("side")), None, str(path))
@@ -467,7 +468,7 @@ def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | N
 
 
 def _world_wrists(table: _Table) -> dict[str, Any]:
-    """Wrists in the world of the first one; NaN for wrists in another world."""
+    """Reads the wrists in the world frame of the first one; NaN for wrists in another frame."""
     rows = table.optional("wrist", 7)
     if rows is None:
         return {}
@@ -480,7 +481,7 @@ def _world_wrists(table: _Table) -> dict[str, Any]:
 def _read_commands(
     table: _Table, timings: _Table, statuses: _Table
 ) -> tuple[CommandTrajectory | None, dict[str, np.ndarray]]:
-    """The commands, and the stages of those that have a timing with the same sequence number."""
+    """Reads the commands, and the stages of those that have a timing with the same number."""
     if not table:
         return None, {}
     names = table.same("names", "the list of joint names")
@@ -517,7 +518,7 @@ def _read_commands(
 
 
 def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | None:
-    """The commanded wrist at each command; None without any message."""
+    """Reads the commanded wrist at each command; None if there is no message."""
     if not table:
         return None
     places = table.places(commands)
@@ -530,13 +531,13 @@ def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | No
 
 
 def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
-    """The commands of the arm at each command of the hand; None without any message."""
+    """Reads the arm command at each command of the hand; None if there is no message."""
     if not table:
         return None
     name = table.same("name", "the arm")
     joints = table.same("names", "the list of the arm's joints")
     if len(joints) > _MOST_ARM_JOINTS:
-        raise ValueError(f"an arm of {len(joints)} joints")
+        raise ValueError(f"an arm has {len(joints)} joints")
     places = table.places(commands)
     columns = (
         table.present("positions", len(joints)),
@@ -548,7 +549,7 @@ def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
 
 
 def _read_states(table: _Table) -> StateTrajectory | None:
-    """The measured joints; None without any message."""
+    """Reads the measured joints; None if there is no message."""
     if not table:
         return None
     names = table.same("names", "the list of measured joints")
@@ -556,7 +557,7 @@ def _read_states(table: _Table) -> StateTrajectory | None:
     sizes = [_FLOAT_BYTES * len(row) for row in table.column("touch")]
     # Many short messages and a long one must not make a large array.
     if len(sizes) * max(sizes) > FREE_BYTES + ARRAYS_RATIO * sum(sizes):
-        raise ValueError("few of the measured states have touch, and too much of it")
+        raise ValueError("few of the measured states have touch values, and those have too many")
     return StateTrajectory(
         table.stamps(),
         table.present("positions", len(names)),
@@ -568,7 +569,7 @@ def _read_states(table: _Table) -> StateTrajectory | None:
 
 
 def _read_loop_track(commands: Sequence[int], table: _Table) -> LoopTrack | None:
-    """States of the loop; None without any message, in a log that is not of a live loop."""
+    """Reads the states of the loop; None if there is no message, as in a log without a loop."""
     if not table:
         return None
     places = table.places(commands)

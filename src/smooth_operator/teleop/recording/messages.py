@@ -1,11 +1,11 @@
-"""Messages of a log as Protocol Buffers: the project's own, and Foxglove's for its 3D panel.
+"""Messages of a log as Protocol Buffers: this project's own, and Foxglove's for its 3D panel.
 
 The types are in ``proto/*.proto``, their descriptors in ``proto/messages.binpb``. Unknown numbers
 are NaN, unknown lists and texts are empty, and lists of points are flat. Foxglove's messages are
-written in addition to the project's own, at a bounded rate, and never read.
+written in addition to the project's own, at a limited rate, and are never read back.
 
 Raises:
-    MissingExtraError: on import, if a library of the extra ``teleop`` is missing.
+MissingExtraError: on import, if a library of the ``teleop`` extra is missing.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ except ModuleNotFoundError as error:
 __all__ = ["lz4_frame", "mcap_reader", "mcap_records", "mcap_stream", "mcap_writer"]
 
 VERSION: Final = "3"
-"""Version of the messages, in the metadata of every channel. A change that readers must know raises
-it."""
+"""Version of the messages, in the metadata of every channel. It is raised by changes that readers
+must know about."""
 
 HAND: Final = "/hand"
 COMMAND: Final = "/command"
 STATUS: Final = "/status"
 TIMING: Final = "/timing"
 LOOP: Final = "/loop"
-"""Only in logs of a live loop."""
+"""Topic of the loop's states; only in logs of a live loop."""
 STATE: Final = "/state"
-"""Only in logs of a live loop whose hand is measured."""
+"""Topic of measured states; only in logs of a live loop whose hand is measured."""
 ARM: Final = "/arm"
-"""Only if an arm carries the robot hand."""
+"""Topic of arm commands; only if an arm carries the robot hand."""
 WRIST: Final = "/wrist"
-"""Only if the wrist of the robot hand was commanded."""
+"""Topic of wrist commands; only if the wrist of the robot hand was commanded."""
 CONFIG: Final = "/config"
 
 HAND_SCENE: Final = "/foxglove/hand"
@@ -70,13 +70,13 @@ JOINTS: Final = "/foxglove/joints"
 FRAMES: Final = "/foxglove/frames"
 HUMAN_WRIST: Final = "/foxglove/human_wrist"
 WRIST_TARGET: Final = "/foxglove/wrist_target"
-"""Wrist of the operator in the tracker's world, and of the robot hand in the robot's base."""
+"""Topic with the robot's target wrist pose in the frame of the robot's base, for Foxglove."""
 
 ORIGIN: Final = "smooth_operator.origin"
-"""Name of the metadata record of the log's origin: ``name``, ``task``, ``meta``."""
+"""Name of the metadata record that states the log's origin: ``name``, ``task``, ``meta``."""
 
 METHOD: Final = "smooth_operator.method"
-"""Name of the metadata record of each method: ``stamp`` of its first command, ``method``,
+"""Name of the metadata record for each method: ``stamp`` of its first command, ``method``,
 ``preset``, ``config`` (JSON)."""
 
 LIVE: Final = (ARM, LOOP, STATE, WRIST)
@@ -89,7 +89,7 @@ SCHEMAS: Final = {
     topic: f"smooth_operator.{topic[1:].capitalize()}"
     for topic in (HAND, COMMAND, STATUS, TIMING, LOOP, STATE, WRIST, ARM, CONFIG)
 }
-"""Topic -> full name of its messages."""
+"""Topic -> full name of its message type."""
 
 FOXGLOVE: Final = {
     FRAMES: "foxglove.FrameTransforms",
@@ -99,7 +99,7 @@ FOXGLOVE: Final = {
     HUMAN_WRIST: "foxglove.PoseInFrame",
     WRIST_TARGET: "foxglove.PoseInFrame",
 }
-"""Topic that Foxglove draws -> full name of its messages. Nothing reads them back."""
+"""Topic that Foxglove draws -> full name of its message type. Nothing reads them back."""
 
 _FILES: Final = FileDescriptorSet.FromString(
     files("smooth_operator.teleop.recording").joinpath("proto/messages.binpb").read_bytes()
@@ -116,7 +116,7 @@ def message_class(name: str) -> Any:
 
 
 def schema_data(name: str) -> bytes:
-    """Definition of a message and of those that it contains: a ``FileDescriptorSet``."""
+    """Definition of a message and of those that it contains, as a ``FileDescriptorSet``."""
     by_name = {file.name: file for file in _FILES.file}
     needed = [by_name[message_class(name).DESCRIPTOR.file.name]]
     for file in needed:  # the list grows
@@ -126,17 +126,17 @@ def schema_data(name: str) -> bytes:
 
 @dataclass(frozen=True)
 class LoopState:
-    """State of the loop at one command.
+    """State of the loop at the time of one command.
 
     Attributes:
         number: number of the tick, counted from 0.
         mode: mode of the loop, such as ``tracking`` or ``holding``.
         time: time of the command, by the loop's clock [s].
-        received: time of arrival of the answered frame, by the loop's clock [s]; None without one.
-        tracker_stamp: stamp of the answered frame, by the tracker's clock [s]; None without one.
-        session: number of the tracker's start; None without a frame.
-        tracking_loss: loss of the answered frame; NaN without one.
-        scale: robot size over human size; NaN without a frame.
+        received: time of arrival of the command's frame, by the loop's clock [s]; None without one.
+        tracker_stamp: stamp of that frame, by the tracker's clock [s]; None without a frame.
+        session: number of the tracker's session; None without a frame.
+        tracking_loss: loss of the method for that frame; NaN without a frame.
+        scale: ratio of robot size to human size; NaN without a frame.
         events: events of the tick, one sentence each.
     """
 
@@ -159,10 +159,10 @@ class LoopTrack:
         numbers: (T,) numbers of the ticks; -1 if unknown.
         modes: (T,) modes of the loop; empty if unknown.
         times: (T,) times of the commands, by the loop's clock [s].
-        received: (T,) times of arrival of the answered frames [s]; NaN without one.
+        received: (T,) times of arrival of the commands' frames [s]; NaN without a frame.
         tracker_stamps: (T,) stamps of the frames by the tracker's clock [s], or NaN.
-        tracking_loss: (T,) losses of the frames, or NaN.
-        scale: (T,) robot size over human size, or NaN.
+        tracking_loss: (T,) losses of the method for the frames, or NaN.
+        scale: (T,) ratios of robot size to human size, or NaN.
         events: index of a command -> its events.
     """
 
@@ -177,12 +177,12 @@ class LoopTrack:
 
     @property
     def answers(self) -> Bool[np.ndarray, " T"]:
-        """(T,) True for a command that answers a frame."""
+        """(T,) True for a command that was computed from a frame."""
         return np.asarray(np.isfinite(self.received))
 
 
 RATE_HZ: Final = 30.0
-"""Maximum rate of messages on each topic [Hz]; a viewer needs no more."""
+"""Maximum rate of messages on each Foxglove topic [Hz]; a viewer needs no more."""
 
 ROBOT_FRAME: Final = "robot"
 """Root frame: the robot's palm."""
@@ -191,22 +191,22 @@ TRACKER_FRAME: Final = "tracker"
 _OFFSET: Final = np.array([0.25, 0.0, 0.0])  # first wrist in the robot's palm frame [m]
 
 Keypoints: TypeAlias = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, "k 21 3"]]
-"""Joint positions [rad] to the robot's landmarks in its palm frame [m]; NaN for landmarks that the
-robot does not have, the same at all positions."""
+"""Function from joint positions [rad] to the robot's landmarks in its palm frame [m]. Landmarks
+that the robot does not have are NaN at all positions."""
 
 _PERIOD_NS: Final = round(1e9 / RATE_HZ)
 _LOOKS: Final = {
     HAND_SCENE: ("human hand", TRACKER_FRAME, (0.9, 0.6, 0.35, 1.0)),
     ROBOT_SCENE: ("robot hand", ROBOT_FRAME, (0.0, 0.45, 0.7, 1.0)),
 }
-"""Topic -> name, frame and colour (red, green, blue, opacity) of its skeleton."""
+"""Topic -> name, frame and colour (red, green, blue, opacity) of the skeleton that it draws."""
 _MOST_SCENES: Final = 64
 _THICKNESS: Final = 0.004  # [m]
 _LINE_LIST: Final = 2
 
 
 class Message(NamedTuple):
-    """A message: its topic, its time [ns] and its bytes."""
+    """An encoded message: its topic, its time [ns] and its bytes."""
 
     topic: str
     at: int
@@ -214,7 +214,7 @@ class Message(NamedTuple):
 
 
 class FoxgloveMessages:
-    """Foxglove's messages of one hand and one robot, at most ``RATE_HZ`` a second.
+    """Builds Foxglove's messages for one hand and one robot, at most ``RATE_HZ`` per second.
 
     It collects frames and commands, and computes their skeletons in one call.
 
@@ -283,7 +283,7 @@ class FoxgloveMessages:
             self._robot.append((at, positions.copy()))
 
     def take(self) -> list[Message]:
-        """The messages since the last call, by topic in order of time."""
+        """Returns the messages since the last call, by topic, in order of time."""
         hands, self._hands = self._hands, []
         robot, self._robot = self._robot, []  # first, so that an error is raised once
         for valid, group in groupby(hands, lambda hand: hand[2]):
@@ -324,7 +324,7 @@ class FoxgloveMessages:
 
 
 class _Scene:
-    """A skeleton with a line for each bone with two valid ends; its message is reused."""
+    """Skeleton with a line for each bone whose two ends are valid; its message is reused."""
 
     def __init__(self, topic: str, valid: bytes) -> None:
         self._topic = topic
@@ -348,7 +348,7 @@ class _Scene:
     def messages(
         self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
     ) -> Iterator[Message]:
-        """Messages of the skeleton at some times [ns]."""
+        """Yields messages of the skeleton at some times [ns]."""
         rows = landmarks[:, self._valid].astype(np.float32)  # exact enough, and compresses better
         for at, row in zip(times, rows.tolist(), strict=True):
             _set_time(self._timestamp, at)
@@ -380,7 +380,7 @@ def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:
 
 
 def landmark_keypoints(hand: Hand) -> Keypoints:
-    """Function from joint positions to landmarks, which takes 10 us by MuJoCo."""
+    """Returns a function from joint positions to landmarks; with MuJoCo it takes 10 us."""
     model, data = hand.model, mujoco.MjData(hand.model)
     points = {
         LANDMARKS.index(name): point

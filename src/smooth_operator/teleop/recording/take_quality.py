@@ -1,4 +1,4 @@
-"""Quality of a take: holds, lost frames, jumps of the robot, and self-collision."""
+"""Measures the quality of a take: holds, lost frames, jumps of the robot, and self-collision."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.types import Status
 
 _POSES: Final = 500
-"""Number of poses of a take that are checked for self-collision; more would take seconds."""
+"""Number of a take's poses that are checked for self-collision; more would take seconds."""
 
 
 @dataclass(frozen=True)
 class TakeQuality:
-    """Figures by which to keep or discard a take.
+    """Metrics that help to decide whether to keep a take.
 
     Attributes:
-        seconds: length [s].
-        frames: number of answered frames.
+        seconds: length of the take [s].
+        frames: number of frames from which a command was computed.
         lost_s: time without usable frames [s].
         paused_s: time in which the operator paused the robot [s].
         stopped_s: time in an emergency stop [s].
@@ -38,7 +38,7 @@ class TakeQuality:
             (``posture.jumps_per_1000``).
         collision: share of poses in which links overlap by over 2 mm; None if the hand has no
             collision shapes.
-        depth_mm: deepest overlap [mm]; None with ``collision``.
+        depth_mm: deepest overlap [mm]; None if ``collision`` is None.
     """
 
     seconds: float
@@ -53,7 +53,7 @@ class TakeQuality:
 
 
 def take_quality(path: Path, hand: Hand) -> TakeQuality:
-    """Quality of the recording of one hand.
+    """Measures the quality of the recording of one hand.
 
     Args:
         hand: the recorded robot hand.
@@ -65,7 +65,7 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     if log.commands is None or log.loop is None or not len(log.commands):
         raise RecordingError(f"{path.name} contains no commands of a running loop")
     if log.commands.joint_names != hand.joint_names:
-        raise RecordingError(f"{path.name} is of a different hand than {hand.name!r}")
+        raise RecordingError(f"{path.name} was recorded with a different hand than {hand.name!r}")
     times, q = log.loop.times, np.asarray(log.commands.joint_positions, float)
     answers = log.loop.answers
     modes, lasted = log.loop.modes, np.diff(times, append=times[-1:])  # until the next command [s]

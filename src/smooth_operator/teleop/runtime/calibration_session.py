@@ -25,7 +25,7 @@ class Moment:
         prompt: the prompt.
         number: number of the prompt, from 0.
         phase: ``settle`` while the operator moves to the pose; ``hold`` while they hold it;
-        ``wait`` while no hand is in sight.
+            ``wait`` while no hand is in sight.
         done: completed share of the calibration, 0 to 1.
         left_s: time left of this phase [s].
     """

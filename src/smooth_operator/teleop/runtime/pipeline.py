@@ -71,8 +71,8 @@ class SessionCheck:
 
     The check starts again each time the tracker is restarted.
 
-        Args:
-            side: side of the robot hand.
+    Args:
+        side: side of the robot hand.
     """
 
     def __init__(self, side: Side) -> None:

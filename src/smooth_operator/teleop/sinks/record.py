@@ -42,7 +42,7 @@ class RecordSink(Sink):
         overwrite: replace an existing file of that name.
         flush_s: longest time that a tick waits for the disk [s].
         buffer: largest number of ticks that wait for a slow disk; further ones are dropped and
-        counted.
+            counted.
 
     Raises:
         ConfigError: a setting is out of its range, or the file is not an ``.mcap`` file.
@@ -129,7 +129,7 @@ class RecordSink(Sink):
         """Write pending ticks, and finish the files.
 
         Raises:
-        OutputError: the files could not be finished; flushed parts stay readable.
+            OutputError: the files could not be finished; flushed parts stay readable.
         """
         recorder = self._recorder
         if recorder is None:
@@ -378,7 +378,7 @@ def is_folder(path: Path) -> bool:
     """True if a path names a folder of takes: it is a folder, or has no suffix.
 
     Raises:
-    ConfigError: its suffix is not that of a log.
+        ConfigError: its suffix is not that of a log.
     """
     if path.is_dir() or not path.suffix:
         return True
@@ -395,7 +395,7 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
     Args:
         path: see ``is_folder``. In a folder, recordings are named ``take-001.mcap`` and so on.
         sides: hands that are recorded. Two hands have one file each, as in
-        ``take-001.right.mcap``.
+            ``take-001.right.mcap``.
         overwrite: True if an existing file may be replaced.
 
     Raises:

@@ -86,7 +86,7 @@ class ArmCommand:
         position_error: distance from ``pose`` to the target pose [m]; NaN without a target.
         rotation_error: angle from ``pose`` to the target pose [rad]; NaN without a target.
         clearance: smallest distance between parts, or to table and wall, except between fingers and
-        table [m].
+            table [m].
         state: ``following``, ``holding``, ``braking`` (no motion keeps all distances) or
             ``stopped``.
         measured: (n,) positions of the joints at the last measurement by a sink [rad]; None without
@@ -126,7 +126,7 @@ class Tick:
         events: events of this tick, one sentence each, such as a change of mode or refused frames.
         driver: method that drives the hand, if known; the same object until it changes.
         state: last measured state of the hand, if a sink measures it; the same object until there
-        is a newer one.
+            is a newer one.
         wrist: target of the hand's wrist, with the same stamp; None if the loop moves fingers only.
         arm: the command to the arm that carries the hand, with the same stamp; None without an
             arm.

@@ -1,7 +1,7 @@
-"""Sockets for the messages of sources: UDP, TCP, ZeroMQ and gRPC.
+"""Inboxes: sockets on which sources receive messages over UDP, TCP, ZeroMQ and gRPC.
 
-A web page can send any data after an HTTP header to any port of its user's computer. So an inbox
-closes a TCP connection whose first bytes do not belong to the protocol.
+A web page can send any data, after an HTTP header, to any port of its user's computer. Therefore an
+inbox closes a TCP connection whose first bytes do not belong to the protocol.
 """
 
 from __future__ import annotations
@@ -21,24 +21,26 @@ from smooth_operator.teleop.sources.payload import MAX_BYTES
 from smooth_operator.web.listening import listen
 
 Message: TypeAlias = tuple[Any, ...]
-"""A received message in one or several parts: bytes, or objects of its library. Or a single error,
-for a connection that the inbox has closed because of another protocol."""
+"""A received message in one or several parts, each of them bytes or an object of the library. For a
+connection that the inbox closed because it spoke another protocol, a single error instead."""
 
 NEWEST: Final = 8
-"""Number of newest messages to read of those that came together. It is enough for the newest frame
-of each of two hands, also with broken messages between."""
+"""Number of messages to read, the newest ones, if many arrive together. It is enough for the newest
+frame of each of two hands, even with broken messages between them."""
 
 _AT_ONCE: Final = 10_000
-"""Number of messages in one call of ``receive``, so that a source can stop in a flood."""
+"""Largest number of messages in one call of ``receive``, so that a flood can't stop a source from
+ending."""
 
 
 class Inbox(ABC):
     """An open socket. A constructor raises SourceError for an address that it can't use, and
-    MissingExtraError without its library.
+    MissingExtraError if its library is not installed.
 
     Attributes:
-        address: address to which it listens or is connected, with the real port for a port 0.
-        problem: reason why no message can come; empty without a problem.
+        address: address on which it listens or to which it is connected, with the actual port if
+            port 0 was requested.
+        problem: reason why no message can arrive; empty without a problem.
     """
 
     address: str
@@ -62,12 +64,12 @@ class Inbox(ABC):
 
 
 class UdpInbox(Inbox):
-    """A bound UDP socket. A message is its bytes and the address of its sender.
+    """A bound UDP socket. A message consists of its bytes and the address of its sender.
 
     Args:
         host: address to listen on.
         port: port to listen on; 0 for any free one.
-        choose: advice on naming another port, for messages.
+        choose: text for error messages that says how to choose another port.
     """
 
     def __init__(self, host: str, port: int, choose: str = "udp:PORT") -> None:
@@ -113,29 +115,29 @@ class UdpInbox(Inbox):
         return list(newest)
 
     def close(self) -> None:
-        """Gives the port back."""
+        """Closes the socket, which frees the port."""
         self._socket.close()
 
 
 Split: TypeAlias = Callable[[bytearray], Sequence[bytes]]
-"""Removes complete messages from the front of a buffer, which keeps the rest."""
+"""Function that removes complete messages from the front of a buffer and returns them."""
 Begins: TypeAlias = Callable[[bytearray], bool]
-"""True if the data on a connection so far can be the beginning of its first message."""
+"""Function that returns True if the data received so far can be the start of a first message."""
 
 _CONNECTIONS: Final = 8
-"""Number of connections at a time. For one more, an old one without a message is closed, or else
-the one that has been silent for the longest time."""
+"""Largest number of connections. When another one arrives, an old connection without a message is
+closed, or else the one that has been silent for the longest time."""
 _CHUNK: Final = 65_536
 _READS: Final = 64  # reads of one connection in one go, so that a flood can't delay the others
 _NEWEST_PARTS: Final = 16
-"""Number of newest messages to read of those that came together: both hands of a few frames."""
+"""Number of messages to read, the newest ones, if many arrive together: a few frames per hand."""
 
 
 class TcpInbox(Inbox):
     """A listening socket and the connections to it.
 
-    A message is its bytes, the address of its sender, and the number of the connection; or the
-    error, for a connection that was closed because of another protocol.
+    A message consists of its bytes, the address of its sender, and the number of the connection.
+    For a connection that was closed because it spoke another protocol, the message is the error.
 
     Args:
         host: address to listen on.
@@ -219,8 +221,8 @@ class TcpInbox(Inbox):
             if client.new and not self._begins(client.buffer):
                 raise RecordingError(
                     f"a web page or another program at {client.mark[0].decode()} connected "
-                    f"to this port, closed: {brief(bytes(client.buffer[:24]))} does not "
-                    "begin a message of this source"
+                    f"to this port and was closed: {brief(bytes(client.buffer[:24]))} is "
+                    "not the start of a message of this source"
                 )
             messages += [(data, *client.mark) for data in self._split(client.buffer)]
             client.new = client.new and not messages
@@ -238,7 +240,7 @@ class TcpInbox(Inbox):
 
 
 class _Client:
-    """A connection: its address, the data of its next message, and True before the first one."""
+    """A TCP connection and the data of its next message."""
 
     def __init__(self, host: str, number: int) -> None:
         self.mark = (host.encode(), str(number).encode())
@@ -247,7 +249,7 @@ class _Client:
 
 
 class Together(Inbox):
-    """Several inboxes with sockets as one."""
+    """Several inboxes with sockets, used as one."""
 
     def __init__(self, inboxes: Sequence[Inbox]) -> None:
         self._inboxes = inboxes
@@ -275,7 +277,7 @@ def split_lines(buffer: bytearray) -> list[bytes]:
 
 
 Pattern: TypeAlias = Literal["sub", "pull"]
-"""The socket: ``sub`` for publishers (PUB), ``pull`` for senders that push (PUSH)."""
+"""Kind of ZeroMQ socket: ``sub`` for publishers (PUB), ``pull`` for senders that push (PUSH)."""
 
 # Length of the queue. With a shorter one, messages would get old in the buffers of the network.
 _QUEUE: Final = 256
@@ -284,10 +286,10 @@ _RECONNECT_MS: Final = (50, 500)  # first and longest wait for a missing publish
 
 
 class ZmqInbox(Inbox):
-    """An open ZeroMQ socket with its own context. A publisher may start later, and start again.
+    """An open ZeroMQ socket with its own context. A publisher may start later, or restart.
 
     Args:
-        feature: name of the user, for the message if pyzmq is missing.
+        feature: what needs pyzmq, for the error message if it is missing.
         address: address such as ``tcp://127.0.0.1:5557``; ``tcp://127.0.0.1:*`` binds any free
             port.
         bind: True to listen at the address, False to connect to it.
@@ -359,16 +361,16 @@ _WORDS: Final = 200
 
 
 class GrpcInbox(Inbox):
-    """A stream of encoded messages from a method with an empty request.
+    """A stream of encoded messages from a gRPC method that takes an empty request.
 
-    A message is its bytes and the number of the connection.
+    A message consists of its bytes and the number of the connection.
 
     Args:
-        feature: name of the user, for the message if grpcio is missing.
-        extra: the extra with grpcio.
+        feature: what needs grpcio, for the error message if it is missing.
+        extra: the extra that installs grpcio.
         address: HOST:PORT of the server, which may start later.
         method: path of the method: ``/package.Service/Method``.
-        longest: size of the longest accepted message [bytes].
+        longest: size of the largest accepted message [bytes].
     """
 
     def __init__(self, feature: str, extra: str, address: str, method: str, longest: int) -> None:
@@ -401,7 +403,7 @@ class GrpcInbox(Inbox):
         return messages
 
     def close(self) -> None:
-        """Ends the stream and waits for its thread, 5 s at most."""
+        """Ends the stream and waits for its thread, for 5 s at most."""
         self._closing.set()
         call = self._call
         if call is not None:
@@ -418,7 +420,7 @@ class GrpcInbox(Inbox):
             wait = min(2.0 * wait, _RETRY_S[1])
 
     def _listen(self, connection: bytes) -> bool:
-        """Receives one stream until it ends; True if a message came."""
+        """Receives one stream until it ends; True if a message arrived."""
         grpc, heard = self._grpc, False
         options = [
             ("grpc.max_receive_message_length", self._longest),
@@ -451,13 +453,13 @@ class GrpcInbox(Inbox):
             return f"{self.address} sends nothing; reconnecting"
         if code == "UNIMPLEMENTED":
             return (
-                f"{self.address} is a gRPC server without hand tracking, so it is another program"
+                f"{self.address} is a gRPC server without hand tracking; check the address and port"
             )
         if code == "RESOURCE_EXHAUSTED":
             return f"{self.address} sends messages longer than {self._longest} bytes"
         text = " ".join(str(error.details() or "").split())[:_WORDS]
         return (
             f"can't connect to {self.address} ({code}: {text}); check that the app is "
-            "running, that the address is the one that it shows, and that the headset is on "
-            "this network. Trying again"
+            "running, that it shows this address, and that the headset is on this network. "
+            "Trying again"
         )

@@ -1,7 +1,7 @@
 """Base of live sources, and the mailbox with the newest frame of each hand.
 
-A source runs on its own thread and posts frames into a mailbox with one place for each hand. The
-next frame overwrites one that was not taken, so the loop always answers the newest.
+A source runs on its own thread and posts frames into a mailbox with one place for each hand. A new
+frame overwrites one that was not taken, so the loop always uses the newest.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ Clock: TypeAlias = Callable[[], float]
 """Monotonic clock [s], such as ``time.perf_counter``."""
 
 LATEST_STAMP_S: Final = 1e11
-"""Bound of stamps, the year 5138 of Unix time [s]; larger ones have another unit."""
+"""Largest valid stamp [s], the year 5138 in Unix time; larger ones are in another unit."""
 JUMP_S: Final = 1.0
-"""Jump of the stamps at which a tracker counts as restarted [s]: back from the newest stamp, or
-ahead of the time since its reception."""
+"""Jump of the stamps at which a tracker counts as restarted [s]: backward from the newest stamp, or
+forward by more than the time since its reception."""
 
 _GAPS: Final = 5  # times between frames for the median, the period of a tracker
 
@@ -41,10 +41,10 @@ class Arrival:
     Attributes:
         frame: the hand; its stamp is by the tracker's clock, or ``received`` if it had none.
         received: time of reception of its last byte, by the loop's clock [s].
-        session: number of the tracker's start, with which stamps may restart. It increases with
-            each start that the source reports, and with each jump of the stamps (``JUMP_S``).
-        speed: seconds of its stamps per second of the loop's clock; not 1 for a recording at
-            another speed.
+        session: number of the tracker's session; its stamps may restart with each. A session begins
+            with each start that the source reports, and with each jump of the stamps (``JUMP_S``).
+        speed: seconds of its stamps per second of the loop's clock; differs from 1 for a recording
+            that is played at another speed.
     """
 
     frame: HandFrame
@@ -63,14 +63,15 @@ class Arrival:
 
 
 class Mailbox:
-    """The newest frame of each hand; safe for several threads.
+    """Holds the newest frame of each hand, from the source to the loop; thread-safe.
 
     Attributes:
         received: number of posted frames.
         received_of: side -> number of posted frames.
         overwritten: number of frames that were replaced before they were taken.
         stop: emergency stop of the loop, for sources with a stop button; set by the loop.
-        mode: returns the state of the loop, a ``Mode`` or ``compiling``; empty without a loop.
+        mode: function that returns the state of the loop: a ``Mode``, ``compiling``, or an empty
+            string without a loop.
     """
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
@@ -95,7 +96,7 @@ class Mailbox:
         session: int = 0,
         speed: float = 1.0,
     ) -> Arrival:
-        """Posts a frame; see ``Arrival`` for the arguments. Returns its arrival."""
+        """Posts a frame and returns its arrival; see ``Arrival`` for the arguments."""
         at = self.clock() if received is None else received
         with self._arrived:
             self.received += 1
@@ -113,12 +114,12 @@ class Mailbox:
         return arrival
 
     def take(self, side: Side) -> Arrival | None:
-        """Takes the newest frame of a hand; None without a frame since the last call."""
+        """Takes the newest frame of a hand; None if no frame has arrived since the last call."""
         with self._arrived:
             return self._newest.pop(side, None)
 
     def newest(self, side: Side) -> Arrival | None:
-        """The arrival that ``take`` would return; it stays in the mailbox."""
+        """Returns the arrival that ``take`` would return, and leaves it in the mailbox."""
         with self._arrived:
             return self._newest.get(side)
 
@@ -132,7 +133,8 @@ class Mailbox:
         """Sleeps up to a timeout [s] or until ``wake``.
 
         Args:
-            received: number of frames; another number also ends the sleep. None ignores frames.
+            received: last known number of posted frames; the sleep also ends as soon as it differs.
+                None ignores frames.
         """
         with self._arrived:
             self._arrived.wait_for(
@@ -142,7 +144,7 @@ class Mailbox:
             self._woken = False
 
     def wait(self, sides: Collection[Side], timeout: float) -> bool:
-        """Sleeps up to a timeout [s] until a frame of one of the hands is here; True if it is."""
+        """Sleeps up to a timeout [s] until a frame of one of the hands arrives; True if one did."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._woken or self._has(sides), timeout)
             self._woken = False
@@ -159,7 +161,7 @@ class Mailbox:
 
 
 class _Sessions:
-    """Starts of the tracker of one hand: those that its source reports, and jumps of the stamps."""
+    """Counts the sessions of one hand's tracker: reported starts, and jumps of the stamps."""
 
     def __init__(self) -> None:
         self._reported: int | None = None
@@ -168,7 +170,7 @@ class _Sessions:
         self._stamp = self._received = 0.0
 
     def of(self, stamp: float, received: float, reported: int) -> int:
-        """The session of a frame."""
+        """Number of the session of a frame."""
         if not abs(stamp) < LATEST_STAMP_S:
             return reported + self._jumps  # the loop refuses the frame
         ahead = stamp - self._stamp
@@ -189,7 +191,7 @@ class SourceHealth:
 
     Attributes:
         state: ``waiting`` for its tracker, ``running``, ``ended``, or ``failed`` with an error.
-        detail: a sentence for a person, such as the address or the error.
+        detail: a sentence for the user, for example with the address or the error.
     """
 
     state: Literal["waiting", "running", "ended", "failed"]
@@ -197,16 +199,16 @@ class SourceHealth:
 
 
 class LiveSource(Protocol):
-    """A source of frames."""
+    """A live source of hand frames: a tracker, a recording or another program."""
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
 
     def prepare(self) -> None:
-        """Optionally opens everything that ``start`` needs, with the same errors.
+        """Optionally opens everything that ``start`` needs; raises the same errors.
 
-        It reports errors before the slow work of a run.
+        Errors are thus reported before the slow work of a run.
         """
 
     def start(self, mailbox: Mailbox) -> None:
@@ -221,11 +223,11 @@ class LiveSource(Protocol):
         """Stops posting and closes everything; a second call does nothing."""
 
     def health(self) -> SourceHealth:
-        """Health of the source, at any time, from any thread."""
+        """Current health of the source; safe at any time and from any thread."""
 
 
 def source_gaps(source: LiveSource) -> Mapping[str, float]:
-    """Finger -> distance from the thumb in a pinch, as the source's tracker sees it [palm lengths].
+    """Finger -> distance from the thumb that the tracker reports in a pinch [palm lengths].
 
     Only a source with known gaps has the attribute ``pinch_gaps``.
     """
@@ -234,7 +236,7 @@ def source_gaps(source: LiveSource) -> Mapping[str, float]:
 
 
 class ThreadedSource(ABC):
-    """A source whose method ``run`` has a thread of its own.
+    """A source whose method ``run`` is called on a thread of its own.
 
     Subclasses are frozen dataclasses of settings; their state is in ``Running``.
     """
@@ -248,11 +250,11 @@ class ThreadedSource(ABC):
     def run(self, running: Running) -> None:
         """Posts frames until ``running.stopping`` is set, or until the last frame.
 
-        An exception becomes the health ``failed`` with the error as the detail.
+        If it raises, the health becomes ``failed`` with the error as the detail.
         """
 
     def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
-        """Opens what the thread needs; errors reach the caller."""
+        """Opens everything that the thread needs; errors reach the caller."""
 
     def prepare(self) -> None:
         """Opens the source before ``start``; see ``LiveSource``."""
@@ -281,7 +283,7 @@ class ThreadedSource(ABC):
 
 
 class Running:
-    """A started source: its thread, its mailbox, its health.
+    """State of a started source: its thread, its mailbox and its health.
 
     Attributes:
         stopping: event that ends the source; ``stopping.wait(seconds)`` sleeps.
@@ -317,7 +319,7 @@ class Running:
         self._thread.start()
 
     def end(self, timeout: float = 5.0) -> None:
-        """Requests the end, and waits for it up to a timeout [s]."""
+        """Asks the thread to end, and waits for it up to a timeout [s]."""
         self.stopping.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout)
@@ -329,11 +331,11 @@ _Item = TypeVar("_Item")
 def on_time(
     due: Iterable[tuple[float, _Item]], clock: Clock, stopping: threading.Event
 ) -> Iterator[tuple[float, _Item]]:
-    """Yields the delay [s] of each item and the item when it is due; late ones immediately.
+    """Yields each item when it is due, with its delay [s]; late items immediately.
 
     Args:
         due: (time since the start [s], item) in order. The start is the time at which the first
-            item is there.
+            item becomes available.
     """
     items = iter(due)
     first = list(itertools.islice(items, 1))

@@ -1,15 +1,16 @@
-"""Messages of hand landmarks from other programs: numbers as bytes, or JSON.
+"""Reader for messages with hand landmarks from other programs, as bytes or JSON.
 
 A message is one of
 
 - 21 x 3 numbers, little-endian float32 (252 bytes) or float64 (504 bytes), row by row;
 - JSON: ``{"stamp": 12.5, "side": "right", "landmarks": [[x, y, z], ...], "valid": [true, ...]}``,
-  where only ``landmarks`` is needed; or ``{"hands": [...]}`` with several hands; or the landmarks
-  alone.
+  where only ``landmarks`` is required; or ``{"hands": [...]}`` with several hands; or the
+  landmarks alone.
 
-Instead of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR). Instead of a row x y z there
-may be an object, a row with a quaternion, or a 4 x 4 matrix. ``wrist`` is the pose of the wrist in
-the frame ``world``. 26 rows with quaternions contain it, too, in OpenXR's axes (y up).
+Instead of 21 landmarks, a message may have 25 (MANUS, WebXR) or 26 (OpenXR). Instead of a row
+x y z, a landmark may be an object, a row with a quaternion, or a 4 x 4 matrix. ``wrist`` is the
+pose of the wrist in the frame ``world``. 26 rows with quaternions also contain the wrist's pose, in
+OpenXR's axes (y up).
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ from smooth_operator.teleop.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
 
 MAX_BYTES: Final = 65_536
-"""Size of the longest accepted message; both hands of the most verbose bridge need a third."""
+"""Size of the largest accepted message [bytes]; both hands of the most verbose bridge need a third
+of it."""
 
 _BINARY: Final = {
     count * 3 * size: (count, f"<f{size}") for count in schema.NODE_LAYOUTS for size in (4, 8)
 }
 _SHARED: Final = ("stamp", "timestamp", "session", "world")
 TRACKER_WORLD: Final = "tracker"
-"""Name of the world frame of a wrist in a message without a name."""
+"""Name of a wrist's world frame if the message does not name it."""
 
 _OPENXR_WRIST: Final = schema.FROM_OPENXR_26[0]
 _WHERE: Final = "the message"
@@ -48,12 +50,12 @@ _WHERE: Final = "the message"
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One hand of a message.
+    """One hand that was read from a message.
 
     Attributes:
         frame: the hand; its stamp is the time of receipt if the message has none.
         stamped: True if the stamp is the tracker's own.
-        session: the tracker's name of its current start, if it sends one.
+        session: the tracker's name for its current session, if it sends one.
     """
 
     frame: HandFrame
@@ -63,10 +65,10 @@ class Reading:
 
 @dataclass(frozen=True)
 class Forms:
-    """Settings of the format of messages.
+    """Settings that describe the format of messages.
 
     Attributes:
-        layout: order of the landmarks in a message of 21; None for the project's own.
+        layout: order of the landmarks in a message of 21; None for this project's order.
         stamp_unit: unit of the stamps.
         quaternion: order of the quaternion in rows of 7.
         matrix: order of 4 x 4 matrices; ``auto`` decides by their row or column 0 0 0 1.
@@ -79,17 +81,17 @@ class Forms:
 
 
 class PayloadReader:
-    """Reader of the messages of one stream; arguments as for ``read_payload``."""
+    """Reader for the messages of one stream; takes the arguments of ``read_payload``."""
 
     def __init__(self, side: Side | None, forms: Forms) -> None:
         self._side, self._forms = side, forms
         self._pace = StampPace(forms.stamp_unit)
 
     def read(self, data: bytes, received: float) -> tuple[Reading, ...]:
-        """Hands of the next message.
+        """Reads the hands of the next message.
 
         Raises:
-            RecordingError: as ``read_payload``, or the pace of the stamps shows another unit.
+            RecordingError: as ``read_payload``, or the stamps advance at the rate of another unit.
         """
         readings = read_payload(
             data, side=self._side, received=received, **dataclasses.asdict(self._forms)
@@ -107,16 +109,16 @@ def read_payload(
     received: float,
     **forms: Any,
 ) -> tuple[Reading, ...]:
-    """Reads a message.
+    """Reads the hands of a message.
 
     Args:
-        side: side of a message without one; None refuses such a message.
-        received: time of receipt [s], the stamp of a message without one.
+        side: side of the hand if the message has none; None refuses such a message.
+        received: time of receipt [s], used as the stamp if the message has none.
         forms: attributes of ``Forms``.
 
     Raises:
-        RecordingError: the message can't be read; with the reason, and for another unit with the
-            likely factor.
+        RecordingError: the message can't be read. The error states the reason and, if the unit
+            seems wrong, the likely factor.
     """
     check_size(data)
     settings = Forms(**forms)
@@ -150,7 +152,7 @@ def check_size(data: bytes) -> None:
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Value of a JSON text; raises RecordingError for another text."""
+    """Parses JSON; raises RecordingError if the text is not JSON."""
     try:
         return documents.parse_json(data)
     except DocumentError as error:
@@ -169,20 +171,20 @@ def hand_frame(
     wrist: Float[np.ndarray, "7"] | None = None,
     world: str | None = None,
 ) -> HandFrame:
-    """Hand frame from a tracker's points.
+    """Makes a hand frame from a tracker's points.
 
     Args:
-        points: (n, 3) positions [m] with n = 21, 25, 26 or 27; NaN for missing ones. All zeros mean
-            that the tracker has no hand.
+        points: (n, 3) positions [m] with n = 21, 25, 26 or 27; NaN for missing ones. If all are
+            zero, the tracker sees no hand.
         stamp: stamp of the frame [s].
         valid: flags of the points, or of the 21 landmarks.
         orientations: quaternions wxyz of the points, of any length.
         metacarpals: metacarpal bases, if they are not among the points.
-        layout: order of 21 points; None for the project's own.
+        layout: order of 21 points; None for this project's order.
         wrist, world: ``HandFrame.T_world_wrist`` and its world frame.
 
     Raises:
-        RecordingError: a wrong shape, or another unit than metres.
+        RecordingError: the shape is wrong, or the unit is not metres.
     """
     if len(points) not in schema.NODE_LAYOUTS:
         raise RecordingError(
@@ -212,7 +214,8 @@ def hand_frame(
 
 
 def read_side(label: Any, otherwise: Side | None) -> Side:
-    """Side in a message, or ``otherwise``; raises RecordingError for a wrong or missing side."""
+    """Reads the side in a message, or returns ``otherwise``; raises RecordingError if the side is
+    wrong or missing."""
     if label is None:
         return _checked_side(otherwise)
     try:
@@ -222,7 +225,7 @@ def read_side(label: Any, otherwise: Side | None) -> Side:
 
 
 def read_session(message: Mapping[str, Any]) -> str | None:
-    """Name of the tracker's current start in a message."""
+    """Reads the tracker's name for its current session from a message."""
     session = message.get("session")
     return None if session is None else str(session)[:64]
 
@@ -247,7 +250,7 @@ def _read_hand(
     field_name = next((key for key in ("landmarks", "joints") if key in message), None)
     if field_name is None:
         keys = ", ".join(map(short, list(message)[:8])) or "nothing"
-        raise RecordingError(f"{_WHERE} has no 'landmarks', but {keys}")
+        raise RecordingError(f"{_WHERE} has no 'landmarks'; it has {keys}")
     points, turned = read_points(
         message[field_name], f"'{field_name}'", quaternion=forms.quaternion, matrix=forms.matrix
     )
@@ -271,7 +274,8 @@ def _read_hand(
 
 
 def read_wrist(message: Mapping[str, Any]) -> dict[str, Any]:
-    """``wrist`` and ``world`` of a message for ``hand_frame``; empty without a wrist."""
+    """Reads ``wrist`` and ``world`` of a message, as arguments of ``hand_frame``; empty without a
+    wrist."""
     wrist = _beside(message, "wrist", (7,))
     return {} if wrist is None else {"wrist": wrist, "world": _world(message)}
 
@@ -302,7 +306,7 @@ def _checked_side(side: Side | None) -> Side:
 def _flags(valid: Any, count: int, rows: np.ndarray) -> np.ndarray:
     good = isinstance(valid, list) and all(isinstance(flag, (bool, int)) for flag in valid)
     if not good or len(valid) not in (count, len(rows)):
-        raise RecordingError(f"'valid' must be {count} times true or false, not {short(valid)}")
+        raise RecordingError(f"'valid' must be {count} values true or false, not {short(valid)}")
     flags: np.ndarray = np.array(valid, bool)
     return flags[rows] if len(flags) == count else flags
 
@@ -331,12 +335,12 @@ def read_points(
     quaternion: QuaternionOrder = "wxyz",
     matrix: MatrixOrder = "auto",
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"] | None]:
-    """Points, and their orientations if the form has them.
+    """Reads points, and their orientations if the message has them.
 
     Args:
         value: JSON value: n rows of x y z; objects with x, y and z (MediaPipe); rows of x y z and a
-            quaternion; 4 x 4 matrices, as rows or 16 numbers each; or all numbers in one row. Null
-            is a missing row.
+            quaternion; 4 x 4 matrices, each as rows or as 16 numbers; or all numbers in one row.
+            Null stands for a missing row.
         what: name of the value, for messages.
         quaternion: order of the quaternion in rows of 7.
         matrix: order of the matrices.
@@ -345,7 +349,7 @@ def read_points(
         (n, 3) positions [m], NaN for missing ones, and (n, 4) quaternions wxyz or None.
 
     Raises:
-        RecordingError: the value has another form, or a matrix is not a rigid transform.
+        RecordingError: the value has none of these forms, or a matrix is not a rigid transform.
     """
     if isinstance(value, list) and any(isinstance(row, dict) for row in value):
         return _of_objects(value, what), None
@@ -373,7 +377,8 @@ def points_of_matrices(
     """Positions and quaternions wxyz of transforms; NaN where a matrix has NaN.
 
     Raises:
-        RecordingError: 0 0 0 1 is not in the row or column of ``order``, or a matrix is not rigid.
+        RecordingError: 0 0 0 1 is not in the row or column that ``order`` says, or a matrix is
+            not rigid.
     """
     whole = np.isfinite(matrices).all(axis=(1, 2))
     complete = matrices[whole]
@@ -409,7 +414,7 @@ def points_of_matrices(
 
 
 def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
-    """Numbers of a JSON value as an array, with NaN for null; raises RecordingError otherwise."""
+    """Converts a JSON value to an array, null to NaN; raises RecordingError if it can't."""
     try:
         return np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -417,7 +422,7 @@ def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
 
 
 def short(value: Any) -> str:
-    """A value as a text of at most 60 characters, for messages."""
+    """Formats a value as at most 60 characters, for messages."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -451,18 +456,18 @@ def _blank(row: list[Any]) -> list[Any]:
 
 
 StampUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
-"""Unit of stamps, the setting ``stamp_unit``."""
+"""Unit of timestamps, for the setting ``stamp_unit``."""
 
 _PARTS: Final[dict[StampUnit, int]] = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}
 _NAMES: Final = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
 
 def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | None:
-    """``stamp`` or ``timestamp`` of a message [s]; None without a stamp.
+    """Reads ``stamp`` or ``timestamp`` of a message [s]; None without a stamp.
 
     Raises:
-        RecordingError: the stamp is not a finite number, or far above any clock in this unit; the
-            error names the setting ``stamp_unit``.
+        RecordingError: the stamp is not a finite number, or is far too large for a time in this
+            unit; the error names the setting ``stamp_unit``.
     """
     stamp = message.get("stamp", message.get("timestamp"))
     if stamp is None:
@@ -493,10 +498,10 @@ def _finite(value: int | float) -> bool:
 
 
 class StampPace:
-    """Detects another unit of stamps than the declared one by their pace."""
+    """Detects from the rate of the stamps that they are not in the declared unit."""
 
     WINDOW_S: Final = 1.0
-    """Time of receipt over which the pace is measured [s]."""
+    """Time over which the rate of the stamps is measured [s]."""
     _FEWEST: Final = 10
 
     def __init__(self, unit: StampUnit) -> None:
@@ -505,11 +510,11 @@ class StampPace:
         self._wrong: dict[Side, str] = {}
 
     def check(self, side: Side, stamp: float, received: float) -> None:
-        """Takes a stamp and its time of receipt [s].
+        """Checks a stamp against its time of receipt [s].
 
         Raises:
             RecordingError: over the last window the stamps ran about 10^3, 10^6 or 10^9 times too
-                fast or too slowly, as in another unit. The message names the setting.
+                fast or too slowly, so they are in another unit. The message names the setting.
         """
         start, at, count = self._windows.setdefault(side, (stamp, received, 0))
         self._windows[side] = (start, at, count + 1)

@@ -30,15 +30,16 @@ _DEFAULT_PERIOD_S = 0.01  # between the rounds of a recording of a single frame
 class Replay(ThreadedSource):
     """Plays a recording with its own stamps, at any speed.
 
-    In a loop, stamps increase, and each round is a session, since the hand jumps to its start.
+    When the recording repeats, the stamps keep increasing, and each repetition is a new session,
+    since the hand jumps back to its start.
 
     Attributes:
         path: any file that ``smooth-operator retarget`` reads.
-        speed: 1 is the recording's own pace, 2 is twice as fast.
-        loop: repeat the recording without end.
+        speed: 1 plays at the recording's own speed, 2 twice as fast.
+        loop: repeat the recording endlessly.
         rate: frame rate of a file without stamps [Hz].
-        side: side of the hand, for a file without one.
-        layout: order of the landmarks in a plain array; None for the project's own.
+        side: side of the hand, for a file that does not store it.
+        layout: order of the landmarks in a plain array; None for this project's order.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -61,7 +62,7 @@ class Replay(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
         return f"replay of {self.path.name}"
 
     def open(self) -> None:
@@ -78,7 +79,7 @@ class Replay(ThreadedSource):
             running.mailbox.post(frame, session=session, speed=self.speed)
 
     def _due(self, recording: HandRecording) -> Iterator[tuple[float, tuple[HandFrame, int]]]:
-        """Time of each frame [s], the frame and its round."""
+        """Yields the time of each frame [s], the frame, and the number of the repetition."""
         first = float(recording.stamps[0])
         single = len(recording) < 2
         period = recording.duration + (_DEFAULT_PERIOD_S if single else 1.0 / recording.rate_hz)
@@ -97,28 +98,28 @@ _HANDS_AT: Final[dict[Side, np.ndarray]] = {
 
 @dataclass(frozen=True)
 class SyntheticSource(ThreadedSource):
-    """A synthetic person in front of a synthetic tracker.
+    """Simulated operator in front of a simulated tracker.
 
-    The hands mirror each other; their trackers lose different frames.
+    The two hands mirror each other, but their trackers lose different frames.
 
     Attributes:
-        seed: seed of the person, the motion and the tracker's losses.
+        seed: seed of the operator's hand, the motion and the tracker's losses.
         tracker: ``glove``, ``headset`` or ``camera``; None for a perfect tracker.
         rate: frame rate of each hand [Hz]; None for the tracker's own.
         side: ``right``, ``left`` or ``both``.
-        gestures: names joined by ``+``, as ``pinch_index+spread``; None for all.
-        speed: tempo of the operator, 1 is natural.
+        gestures: names joined by ``+``, such as ``pinch_index+spread``; None for all.
+        speed: speed of the operator's motion; 1 is natural.
         frame_loss: share of lost frames, in bursts; None for the tracker's own.
         landmark_loss: share of missing landmarks, in bursts.
-        rate_jitter: standard deviation of a frame's time over the period; None for the tracker's
-            own.
+        rate_jitter: standard deviation of a frame's time, divided by the period; None for the
+            tracker's own.
         duration: length of the motion [s]; None for an endless one.
-        wrist: standard deviation of each coordinate of the wrist in the room [m], 1 m up and 0.4 m
-            ahead; 0 for a tracker without a wrist. The landmarks do not move with it.
+        wrist: standard deviation of each coordinate of the wrist [m] about a point 1 m up and
+            0.4 m ahead; 0 for a tracker without a wrist. The landmarks do not move with it.
 
     Raises:
         ConfigError: a setting is outside its range.
-        UnknownNameError: there is no gesture of a name.
+        UnknownNameError: there is no gesture with one of the names.
     """
 
     label = "the built-in operator"
@@ -147,7 +148,7 @@ class SyntheticSource(ThreadedSource):
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Known gaps of the tracker in pinches; see ``source_gaps``."""
+        """Gaps that the tracker is known to report in pinches; see ``source_gaps``."""
         return known_gaps(self.tracker)
 
     def run(self, running: Running) -> None:

@@ -1,17 +1,18 @@
 """Sources that receive other programs' messages: landmarks, headset apps, MANUS glove bridges.
 
-``udp`` and ``zmq`` receive landmarks; ``hts`` (Quest), ``pico`` and ``avp`` (Vision Pro; extra
-``avp``) messages of headset apps; ``manus`` the 25 nodes of a raw skeleton, in several forms.
+``udp`` and ``zmq`` receive landmarks. ``hts`` (Quest), ``pico`` and ``avp`` (Vision Pro; needs the
+``avp`` extra) receive messages of headset apps. ``manus`` receives the 25 nodes of a raw skeleton,
+in several forms.
 
-The main form is that of ``ManusZmqBridge`` (the program of the MANUS recordings), with three more
-fields::
+The main form is that of ``ManusZmqBridge`` (the program that made the MANUS recordings), with three
+more fields::
 
     RIGHT {"glove_id": 3064964832, "side": "right", "session": "a1", "stamp": 12.505,
            "nodes": [{"id": 0, "pos": [x, y, z], "quat": [w, x, y, z]}, ...]}
 
 Other forms are: both hands in one message; nodes as 25 rows of x y z and a quaternion; the ROS 2
 message ``ManusGlove`` as JSON (``raw_nodes`` with a ``pose`` each); and the lines of the Bidex
-bridge, ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, of one hand or two.
+bridge, ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, for one hand or two.
 ``docs/how-to/manus.md`` has an example of each.
 """
 
@@ -73,8 +74,8 @@ class LandmarkStream(StreamSource):
     """Source with one hand per message, in the forms of ``smooth_operator.teleop.sources.payload``.
 
     Attributes:
-        side: the only side in use, also that of messages without one; with ``both`` each message
-            must have its side.
+        side: the side to use; messages without a side count as this side. With ``both``, each
+            message must state its side.
         layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
         stamp_unit: unit of the stamps in JSON.
         quaternion: order of the quaternion in rows of 7.
@@ -98,7 +99,7 @@ class LandmarkStream(StreamSource):
         layout_order(self.layout)
 
     def data_of(self, message: Message) -> bytes:
-        """The part of a message with the hand."""
+        """The part of a message that contains the hand."""
         data: bytes = message[0]
         return data
 
@@ -117,7 +118,7 @@ class UdpSource(LandmarkStream):
     listens on this machine only.
 
     Attributes:
-        port: port to listen on; 0 for any free one, see ``endpoint``.
+        port: port to listen on; 0 for any free one, which ``endpoint`` then contains.
         host: address to listen on; ``0.0.0.0`` for the whole network.
     """
 
@@ -126,11 +127,11 @@ class UdpSource(LandmarkStream):
 
     @property
     def label(self) -> str:
-        """The source in a few words."""
+        """Short human-readable name of the source."""
         return f"UDP port {self.port}"
 
     def connect(self) -> Inbox:
-        """Takes the port."""
+        """Opens the port."""
         return UdpInbox(self.host, self.port)
 
 
@@ -138,13 +139,13 @@ class UdpSource(LandmarkStream):
 class ZmqSource(LandmarkStream):
     """Source with one hand per ZeroMQ message; see ``LandmarkStream``.
 
-    A message may begin with a topic, as a separate part or as the text ``topic``.
+    A message may begin with a topic: a separate part, or the text that ``topic`` gives.
 
     Attributes:
         address: address of the publisher, which may start later.
         bind: listen on the address, for publishers that connect.
         topic: use only messages that start with this text.
-        pattern: ``sub`` for a publisher, ``pull`` for a pusher.
+        pattern: ``sub`` for a sender that publishes, ``pull`` for one that pushes.
     """
 
     address: str = "tcp://127.0.0.1:5557"
@@ -154,7 +155,7 @@ class ZmqSource(LandmarkStream):
 
     @property
     def label(self) -> str:
-        """The source in a few words."""
+        """Short human-readable name of the source."""
         return f"ZeroMQ {self.address}"
 
     def connect(self) -> Inbox:
@@ -164,7 +165,7 @@ class ZmqSource(LandmarkStream):
         )
 
     def data_of(self, message: Message) -> bytes:
-        """The last part of a message, without the topic."""
+        """The last part of a message, without its topic."""
         data: bytes = message[-1]
         if len(message) == 1 and self.topic:
             data = data.removeprefix(self.topic.encode()).lstrip(b" ")
@@ -172,7 +173,7 @@ class ZmqSource(LandmarkStream):
 
 
 Transport: TypeAlias = Literal["both", "udp", "tcp"]
-"""Transport of the app."""
+"""Transport protocol of the app."""
 
 UDP_PORT: Final = 9000
 TCP_PORT: Final = 8000
@@ -187,7 +188,7 @@ class HtsSource(StreamSource):
     source listens on this machine only, for a cable (``adb reverse tcp:8000 tcp:8000``).
 
     Attributes:
-        host: address to listen on; ``0.0.0.0`` for the whole network, which Wi-Fi needs.
+        host: address to listen on; ``0.0.0.0`` for the whole network, as required for Wi-Fi.
         port: port to listen on; 0 for any free one; None for 9000 (UDP) and 8000 (TCP), the ports
             of the app.
         transport: ``udp``, ``tcp``, or ``both``.
@@ -246,7 +247,7 @@ class HtsSource(StreamSource):
 
 
 class _UdpLines(UdpInbox):
-    """Lines in datagrams."""
+    """Inbox for lines in UDP datagrams."""
 
     def receive(self, timeout: float) -> list[Message]:
         """The lines of the newest datagrams."""
@@ -266,7 +267,7 @@ class PicoSource(StreamSource):
     so anyone who can connect moves the hand. By default the source listens on this machine only.
 
     Attributes:
-        host: address to listen on; ``0.0.0.0`` for the whole network, which a headset needs.
+        host: address to listen on; ``0.0.0.0`` for the whole network, as required for a headset.
         port: TCP port; the app connects only to 63901.
         side: hands to use.
         axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed.
@@ -289,7 +290,7 @@ class PicoSource(StreamSource):
         return "; in the app, enter this computer's address, then switch on Hand and Send"
 
     def connect(self) -> Inbox:
-        """Takes the port."""
+        """Opens the port."""
         split, begins = pico_packets.split_packets, pico_packets.begins_packet
         return TcpInbox(self.host, self.port, split, begins, "pico")
 
@@ -315,9 +316,9 @@ class PicoSource(StreamSource):
 class AvpSource(StreamSource):
     """Both hands from a Vision Pro with the app Tracking Streamer, over Wi-Fi.
 
-    This program connects to the headset, again and again while it sleeps. The app sends no time and
-    no visibility: the stamp is the time of receipt, an unchanged hand is lost, and an unchanged
-    wrist is not valid while the fingers move.
+    This program connects to the headset, and retries while the headset sleeps. The app sends
+    neither times nor visibility. Therefore the stamp is the time of receipt, a hand that does not
+    change counts as lost, and a wrist that does not change while the fingers move is not valid.
 
     Attributes:
         address: address of the headset, as the app shows it.
@@ -341,11 +342,11 @@ class AvpSource(StreamSource):
 
     @property
     def label(self) -> str:
-        """The source in a few words."""
+        """Short human-readable name of the source."""
         return f"Tracking Streamer (Vision Pro) at {self.address}"
 
     def connect(self) -> Inbox:
-        """Starts to connect, also without a headset."""
+        """Starts to connect, even if the headset does not answer yet."""
         host = f"[{self.address}]" if ":" in self.address else self.address
         method, longest = avp.METHOD, avp.MOST_BYTES
         return GrpcInbox("the source 'avp'", "avp", f"{host}:{self.port}", method, longest)
@@ -377,16 +378,16 @@ _IN_ORDER: Final = list(range(NODES))
 def read_manus(
     data: bytes, *, gloves: Mapping[str, Side], side: Side | None, received: float
 ) -> tuple[Reading, ...]:
-    """Hands of a message; empty for a message of joint angles.
+    """Reads the hands of a message; empty for a message with joint angles.
 
     Args:
         data: the message; several parts are joined with spaces.
         gloves: glove id in the bridge's notation -> side, for bridges that send no sides.
         side: side of a message with neither a side nor a glove in ``gloves``; None refuses it.
-        received: time of receipt [s], the stamp of a message without one.
+        received: time of receipt [s], used as the stamp if the message has none.
 
     Raises:
-        RecordingError: the message can't be read; with the reason.
+        RecordingError: the message can't be read; the error states the reason.
     """
     check_size(data)
     topic_match = _TOPIC.match(data)
@@ -399,7 +400,7 @@ def read_manus(
 
 
 def _hands(message: Any) -> list[Mapping[str, Any]]:
-    """Objects of the hands of a message, with the common fields of the message."""
+    """One object per hand of a message, with the message's common fields added."""
     hands: Any = message
     if isinstance(message, dict):
         shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
@@ -425,7 +426,7 @@ def read_glove(
     key = next((key for key in ("nodes", "raw_nodes", "data") if key in message), None)
     if key is None:
         raise RecordingError(
-            f"the message has no 'nodes', but {', '.join(list(message)[:8]) or 'nothing'}"
+            f"the message has no 'nodes'; it has {', '.join(list(message)[:8]) or 'nothing'}"
         )
     positions, quaternions = _read_nodes(message[key], key, message.get("quaternion_order"))
     try:
@@ -481,10 +482,12 @@ def _read_nodes(
     places = [i for i, node in enumerate(ids) if 0 <= node < NODES]
     targets = [ids[i] for i in places]
     if len(set(targets)) != len(targets):
-        raise RecordingError(f"'{key}' holds a node more than once: {ids}")
+        raise RecordingError(f"'{key}' contains a node more than once: {ids}")
     if len(targets) < NODES:
         missing = sorted(set(range(NODES)) - set(targets))
-        raise RecordingError(f"'{key}' must hold the nodes 0 to {NODES - 1}, but lacks {missing}")
+        raise RecordingError(
+            f"'{key}' must contain the nodes 0 to {NODES - 1}, but lacks {missing}"
+        )
     sorted_rows = np.empty((NODES, rows.shape[1]))
     sorted_rows[targets] = rows[places]
     return _split(sorted_rows)
@@ -550,7 +553,7 @@ def _read_csv(
 
 
 def glove_sides(right: str | None, left: str | None) -> dict[str, Side]:
-    """Glove id in lower case -> side; raises ConfigError if both are one glove."""
+    """Glove id in lower case -> side; raises ConfigError if both ids are the same."""
     if right is not None and right == left:
         raise ConfigError(f"right_glove and left_glove are both {right!r}")
     gloves: tuple[tuple[str | None, Side], ...] = ((right, "right"), (left, "left"))
@@ -564,7 +567,7 @@ class ManusStream(StreamSource):
     Attributes:
         address: address of the bridge, which may start later.
         side: hands to use. With one hand, messages without a side count as that hand.
-        right_glove: id of the right glove, for a bridge without sides.
+        right_glove: id of the right glove, for a bridge that does not send sides.
         left_glove: id of the left glove.
         pattern: ``sub`` for bridges that publish, ``pull`` for those that push (Bidex).
         bind: listen on the address, for a bridge that connects.
@@ -586,7 +589,7 @@ class ManusStream(StreamSource):
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
         return f"MANUS gloves at {self.address}"
 
     def connect(self) -> Inbox:
@@ -594,7 +597,7 @@ class ManusStream(StreamSource):
         return ZmqInbox("the source 'manus'", self.address, bind=self.bind, pattern=self.pattern)
 
     def reader(self) -> Reader:
-        """Reads the messages of a bridge."""
+        """Returns a function that reads the messages of a bridge."""
         gloves, side = glove_sides(self.right_glove, self.left_glove), only_side(self.side)
 
         def read(message: Message, received: float) -> Sequence[Reading]:

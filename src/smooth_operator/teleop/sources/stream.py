@@ -1,4 +1,4 @@
-"""Base of the sources that receive messages, and the way from a message to the mailbox."""
+"""Base of the sources that receive messages, and the receiver that posts their hands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Hands: TypeAlias = Literal["right", "left", "both"]
 """Hands that a source uses."""
 
 Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
-"""Reads the hands of a message and its time of receipt by the loop's clock [s]."""
+"""Function that reads the hands of a message, given its time of receipt by the loop's clock [s]."""
 
 SILENCE_S: Final = 1.0
 """Time without a message after which a source waits for its tracker [s]."""
@@ -31,10 +31,10 @@ _SIDES: Final[dict[str, tuple[Side, ...]]] = {
 
 
 def sides_of(hands: str) -> tuple[Side, ...]:
-    """The sides of ``right``, ``left`` or ``both``.
+    """Converts ``right``, ``left`` or ``both`` to a tuple of sides.
 
     Raises:
-        ConfigError: it is another text.
+        ConfigError: the text is none of these.
     """
     if hands not in _SIDES:
         raise ConfigError(f"side must be 'right', 'left' or 'both', not {hands!r}")
@@ -42,13 +42,13 @@ def sides_of(hands: str) -> tuple[Side, ...]:
 
 
 def only_side(hands: str) -> Side | None:
-    """The side of ``right`` or ``left``; None for ``both``."""
+    """Converts ``right`` or ``left`` to a side; returns None for ``both``."""
     sides = sides_of(hands)
     return sides[0] if len(sides) == 1 else None
 
 
 class StreamSource(ThreadedSource):
-    """A source with an inbox; subclasses open it and read its messages.
+    """Base of sources that receive messages; subclasses open the inbox and read its messages.
 
     Attributes:
         side: hands to use.
@@ -73,7 +73,7 @@ class StreamSource(ThreadedSource):
 
     @abstractmethod
     def reader(self) -> Reader:
-        """A function that reads the messages of one run; it raises RecordingError."""
+        """Returns a function that reads the messages of one run; it raises RecordingError."""
 
     @property
     def sides(self) -> Collection[Side]:
@@ -82,12 +82,12 @@ class StreamSource(ThreadedSource):
 
     @property
     def hint(self) -> str:
-        """Advice before the first message, after a comma or semicolon; empty without advice."""
+        """Advice to show before the first message; begins with a comma or semicolon, or empty."""
         return ""
 
     @property
     def endpoint(self) -> str | None:
-        """Address on which it listens, with the real port; None before the start."""
+        """Address on which it listens, with the actual port; None before the start."""
         inbox: Inbox | None = getattr(self, "_inbox", None)
         return None if inbox is None else inbox.address
 
@@ -117,17 +117,17 @@ class StreamSource(ThreadedSource):
 class MessageReceiver:
     """Reads messages and posts their hands.
 
-    An unreadable message does not end the source: the health has their number and the last reason.
-    The session of a hand increases when its tracker sends a new ``session``, or starts or ends to
-    stamp. The mailbox detects jumps of the stamps, and the loop refuses stamps that repeat or go
-    back a little.
+    An unreadable message does not end the source: the health states the number of such messages and
+    the last reason. The session number of a hand increases when its tracker sends a new
+    ``session``, or when it starts or stops sending stamps. The mailbox detects jumps of the stamps,
+    and the loop refuses stamps that repeat or go back a little.
 
     Args:
         running: the started source.
         where: address of the source, for the health.
         sides: sides of the hands in use.
-        read: reader of a message.
-        hint: advice before the first message, for the health.
+        read: function that reads a message.
+        hint: advice to show before the first message, for the health.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class MessageReceiver:
         running.health = SourceHealth("waiting", f"listening on {where}{hint}")
 
     def take(self, message: Message, received: float) -> None:
-        """Reads a message and posts its hands; ``received`` is by the loop's clock [s]."""
+        """Reads a message and posts its hands; ``received`` is a time of the loop's clock [s]."""
         if isinstance(message[0], RecordingError):
             self.refused += 1
             self._refusal = str(message[0])[:_MAX_REASON]
@@ -176,7 +176,7 @@ class MessageReceiver:
         )
 
     def silent(self, problem: str = "") -> None:
-        """Reports a time without messages, or the reason why no message can come."""
+        """Reports that no messages arrive, or the reason why none can arrive."""
         if problem:
             self._running.health = SourceHealth("waiting", problem)
             return
@@ -184,7 +184,7 @@ class MessageReceiver:
             return
         silence = self._running.mailbox.clock() - self._last
         if silence > SILENCE_S:
-            facts = [f"no message on {self._where} for {silence:.0f} s", *self._refusals()]
+            facts = [f"no message at {self._where} for {silence:.0f} s", *self._refusals()]
             self._running.health = SourceHealth("waiting", "; ".join(facts))
 
     def _post(self, reading: Reading, received: float) -> None:
@@ -221,7 +221,7 @@ class MessageReceiver:
 class OneSender:
     """Accepts only the first address that sends, until it has been silent for a second.
 
-    An app may open a socket for each hand, so all programs at an address are one sender.
+    An app may open a socket for each hand, so all programs at one address count as one sender.
     """
 
     def __init__(self) -> None:
@@ -234,6 +234,6 @@ class OneSender:
             first = (self._host or b"").decode()
             raise RecordingError(
                 f"{host.decode()} also sends, and is ignored while {first} sends; stop one "
-                "of them, or use a different port for each"
+                "of them or use a different port for each"
             )
         self._host, self._last = host, received

@@ -1,4 +1,4 @@
-"""Drawing of the live page at the pace of the slowest browser."""
+"""Draws the live page, at a rate that the slowest browser can follow."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _IDLE_S: Final = 0.5  # period without a browser [s]
 
 
 class LiveDrawing:
-    """Scene and panel on a server, drawn by one thread.
+    """Draws the scene and the panel of the live page from one thread.
 
     Args:
         server: server of the page.
         link: link to the loop's process.
         setup: a ``PageSetup`` as JSON values.
-        stop: the emergency stop, which is on the page already.
+        stop: the emergency stop, which is already on the page.
 
     Raises:
         SmoothOperatorError: the hand can't be read.
@@ -66,7 +66,7 @@ class LiveDrawing:
         self._pace = Pace(self._server)
 
     def _change(self, setup: Mapping[str, Any]) -> None:
-        """Replaces the hands by those of another setup."""
+        """Replaces the hands with those of another setup."""
         hands = self._hands_of(setup)
         with self._server.atomic():
             self._scene.remove()
@@ -91,7 +91,7 @@ class LiveDrawing:
         return LiveScene(self._server, hands, setup["simulated"], arm=arm, root=f"/{self._builds}")
 
     def _see(self, setup: Mapping[str, Any], hands: dict[Side, Hand]) -> None:
-        """Points the cameras at the hands, and starts to read their meshes."""
+        """Aims the cameras at the hands, and starts to read their meshes."""
         for client in self._server.get_clients().values():
             self._scene.aiming.greet(client)
         self._hands = hands
@@ -132,7 +132,7 @@ class LiveDrawing:
             self._wake.clear()
 
     def _find_meshes(self, hands: dict[Side, Hand], model: str | None) -> None:
-        """Reads the hands' meshes for seconds; until then the page shows simple shapes."""
+        """Reads the hands' meshes, which takes seconds; meanwhile the page shows simple shapes."""
         try:
             there = {side: hand_with_meshes(hand, model) for side, hand in hands.items()}
             views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
@@ -144,7 +144,7 @@ class LiveDrawing:
             self._wake.set()
 
     def _show_meshes(self) -> None:
-        """Draws the meshes as soon as they are read."""
+        """Draws the meshes once they have been read."""
         if self._drawn is not None:
             (views, note), self._drawn = self._drawn, None
             with self._server.atomic():
@@ -174,10 +174,10 @@ _PATIENCE_S: Final = 2.0  # longest wait for one browser [s]
 
 
 class Pace:
-    """Waits until the browsers have handled a frame, so that at most one is on its way.
+    """Waits until the browsers have handled a frame, so that at most one frame is in transit.
 
-    Browsers handle messages in order. Without the wait, a slow one would lag behind more and more,
-    and a page that is seconds late is dangerous.
+    Browsers handle messages in order. Without the wait, a slow browser would lag more and more, and
+    a page that is seconds late is dangerous.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -186,11 +186,11 @@ class Pace:
 
     @property
     def delay(self) -> float:
-        """Longest time of the slowest browser for a frame in the last few seconds [s]."""
+        """Longest time that the slowest browser took for a frame in the last few seconds [s]."""
         return max((seconds for _, seconds in self._recent), default=0.0)
 
     def wait(self) -> None:
-        """Waits for all browsers, two seconds at most for each."""
+        """Waits for all browsers, for each at most two seconds."""
         clients = list(self._server.get_clients().values())
         slowest = max((_round_trip(client) for client in clients), default=0.0)
         now = time.monotonic()
@@ -200,7 +200,8 @@ class Pace:
 
 
 def _round_trip(client: Any) -> float:
-    """Waits until a browser has handled all messages; returns the time [s], 0 if it has left."""
+    """Waits until a browser has handled all messages; returns the time this took [s], 0 if it has
+    disconnected."""
     start = time.monotonic()
     try:
         client.local_storage.get_item("pace", timeout=_PATIENCE_S)

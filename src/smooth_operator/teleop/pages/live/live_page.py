@@ -1,12 +1,14 @@
-"""The live page in the loop's process: starts the page's process, answers it, carries out clicks.
+"""The loop's side of the live page: starts the page's process, answers it and carries out clicks.
 
-Drawing takes a tenth of a core for each hand, in Python, and in the loop's process it would delay
-commands. So the page is a process of lower priority. It asks for the state at its own pace over a
-pipe, with one line of JSON in each direction. A page that hangs or dies does not affect the loop.
+Drawing in Python takes a tenth of a core for each hand and would delay commands if it ran in the
+loop's process. So the page is a separate process of lower priority. It asks for the state at its
+own rate over a pipe, with one line of JSON in each direction. A page that hangs or dies does not
+affect the loop.
 
-Three threads answer it. The first reads the pipe and carries out an emergency stop and its release,
-and answers the pulse by which the page knows that a stop works. The second sends the state, the
-third carries out other clicks. The page shows their errors, which never end the first thread.
+Three threads serve the page. The first reads the pipe, carries out an emergency stop and its
+release, and answers the heartbeat that tells the page that a stop would work. The second sends the
+state, and the third carries out other clicks. Their errors are shown on the page and never end the
+first thread.
 """
 
 from __future__ import annotations
@@ -35,18 +37,18 @@ if TYPE_CHECKING:
 
 
 class LoopEnded(Exception):
-    """The loop's process has closed the pipe, or has ended."""
+    """Raised when the loop's process has closed the pipe or has ended."""
 
 
 class Link:
-    """One end of the pipe between page and loop, with a line of JSON for each message."""
+    """One end of the pipe between page and loop; each message is a line of JSON."""
 
     def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         self._in, self._out = incoming, outgoing
         self._writing = threading.Lock()
 
     def receive(self) -> dict[str, Any] | None:
-        """The next message; skips other lines. None if the other end is gone."""
+        """Returns the next message, skipping other lines; None if the other end is closed."""
         with contextlib.suppress(OSError, ValueError):  # ValueError: the file is closed
             while line := self._in.readline():
                 with contextlib.suppress(ValueError, RecursionError):
@@ -56,7 +58,7 @@ class Link:
         return None
 
     def send(self, message: Mapping[str, Any]) -> None:
-        """Sends a message, from any thread; does nothing if the other end is gone."""
+        """Sends a message; safe from any thread. Does nothing if the other end is closed."""
         line = json.dumps(message).encode() + b"\n"
         with contextlib.suppress(OSError, ValueError), self._writing:
             self._out.write(line)
@@ -64,7 +66,7 @@ class Link:
 
 
 class LoopLink:
-    """The page's end of the pipe: asks for the state, sends clicks, and checks the loop's pulse."""
+    """The page's end of the pipe: asks for the state, sends clicks, and checks the heartbeat."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -80,15 +82,18 @@ class LoopLink:
         return time.monotonic() - self._pulse < _PULSE_LIMIT_S
 
     def do(self, name: str, *values: Any) -> None:
-        """Sends a click."""
+        """Sends the action of a click."""
         self._link.send({"do": [name, *values]})
 
     def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
-        """The state; see ``LiveSession.look``. Or ``setup``, another page to build; or ``trouble``,
-        the reason why there is no state.
+        """Asks for the state.
+
+        Returns:
+            the state, as ``LiveSession.look`` returns it; or ``setup``, another page to build; or
+            ``trouble``, the reason why there is no state.
 
         Raises:
-            LoopEnded: the loop is gone.
+            LoopEnded: the loop has ended.
         """
         self._link.send({"look": {"text": text, "scenery": scenery}})
         if (answer := self._answers.get()) is None:
@@ -111,7 +116,7 @@ class LoopLink:
 
 
 LOADING: Final = "loading the hand and method"
-"""State of a page without a loop."""
+"""Text that the page shows before there is a loop."""
 _PULSE_LIMIT_S: Final = 0.5  # age of the last answer at which the page reports a lost stop [s]
 _PULSE_S: Final = 0.1
 _MODULE: Final = "smooth_operator.teleop.pages.live.process"
@@ -120,20 +125,20 @@ _END_S: Final = 3.0  # longest time for the end of the page [s]
 
 @dataclass(frozen=True)
 class PageSetup:
-    """Settings of a page.
+    """Settings of a live page.
 
     Attributes:
         hand: name of the robot hand, or the path of its description.
         sides: sides of the hands.
         fingers: robot finger -> human finger that drives it; None for all.
-        host: address to listen on; another one than this machine's own needs a token.
+        host: address to listen on; if other machines can reach it, the page needs a token.
         port: first port to try; 0 for any free one.
-        simulated: draw a simulated or measured hand, too.
-        attended: True if the terminal of the run has keys, one of which stops.
-        blind: hide the method from the operator, who can't change it.
+        simulated: also draw a simulated or measured hand.
+        attended: True if the terminal of the run accepts keys, including one for the stop.
+        blind: hide the method from the operator, who then can't change it.
         model: MJCF or URDF to draw, or ``menagerie``; None for the hand's installed meshes.
-        meshes: draw meshes, if there are some; otherwise simple shapes.
-        details: with reflections, which take long without a graphics card.
+        meshes: draw meshes if there are any; otherwise simple shapes.
+        details: draw reflections, which take long without a graphics card.
         arm: settings of the arm that carries the hands; None for no arm.
     """
 
@@ -152,11 +157,13 @@ class PageSetup:
 
 
 class LivePage:
-    """The process of a page, which starts at once. Use it as a context manager, or call ``stop``.
+    """A live page in its own process, which starts at once.
+
+    Use it as a context manager, or call ``stop``.
 
     Attributes:
         setup: the current settings.
-        trouble: reason why the page ended by itself; empty while it runs.
+        trouble: reason why the page ended unexpectedly; empty while it runs.
     """
 
     def __init__(self, setup: PageSetup) -> None:
@@ -197,9 +204,9 @@ class LivePage:
         return self._address.result()
 
     def serve(self, session: LiveSession) -> str:
-        """Shows a loop instead of the last one; returns the page's address.
+        """Shows a loop in place of the previous one; returns the page's address.
 
-        An earlier stop without a loop stops this loop.
+        If the stop was pressed while there was no loop, this loop is stopped.
 
         Raises:
             ConfigError: the page can't be served at the address.
@@ -218,7 +225,7 @@ class LivePage:
             session.close()
 
     def stop(self) -> None:
-        """Ends the page; safe to call twice."""
+        """Ends the page's process; safe to call twice."""
         self._ending = True
         with contextlib.suppress(OSError):
             self._out.close()
@@ -248,10 +255,10 @@ class LivePage:
             try:
                 self._take(message)
             except Exception as error:  # the next message may be a stop
-                _note(f"a message of the page: {_words(error)}")
+                _note(f"a message from the page failed: {_words(error)}")
         self._looks.put(None)
         self._clicks.put(None)
-        ended = "the process of the page ended" + (f": {failed}" if failed else "")
+        ended = "the page's process ended" + (f": {failed}" if failed else "")
         if not self._address.done():
             self._address.set_exception(ConfigError(failed or f"{ended} before it was ready"))
         elif not self._ending:
@@ -307,7 +314,7 @@ class LivePage:
                 if (session := self._session) is not None:
                     session.do(*click)
             except Exception as error:
-                _note(f"a click on the page: {_words(error)}")
+                _note(f"a click on the page failed: {_words(error)}")
 
 
 def _words(error: Exception) -> str:
@@ -315,6 +322,6 @@ def _words(error: Exception) -> str:
 
 
 def _note(text: str) -> None:
-    """Prints a note, even if the terminal is gone."""
+    """Prints a note; does nothing if the terminal was closed."""
     with contextlib.suppress(OSError, ValueError):
         print_note(f"note: {text}")

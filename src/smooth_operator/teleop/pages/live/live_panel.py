@@ -1,4 +1,4 @@
-"""Panel of the live page: controls and the state of the loop."""
+"""Panel of the live page, with controls and the state of the loop."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from smooth_operator.types import Side
 
 
 class LivePanel:
-    """Controls and texts beside the scene.
+    """Panel with controls and texts beside the scene.
 
     Args:
         server: server of the page.
         hands: side -> robot hand.
         do: sends an action's name and values to the loop's process.
-        scene: the scene, for its switches.
+        scene: the scene, which the switches change.
         stop: the emergency stop above the panel.
-        blind: hide the method from the operator, who can't change it.
+        blind: hide the method from the operator, who then can't change it.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class LivePanel:
         panel.dock_below(gui.main_panel)
 
     def change_hands(self, hands: Mapping[Side, Hand], scene: LiveScene) -> None:
-        """Shows other hands; tab and switches remain."""
+        """Shows other hands; the selected tab and the switches stay as they are."""
         self._scene = scene
         self._set_hands(hands)
         self.show_meshes(False, "")
@@ -77,7 +77,7 @@ class LivePanel:
         name_panel(self._gui, hand.name)
 
     def show(self, state: Mapping[str, Any], delay: float = 0.0) -> None:
-        """Shows the state of ``LoopLink.look``, and the delay of the slowest browser [s]."""
+        """Shows the state from ``LoopLink.look``, and the delay of the slowest browser [s]."""
         if "trouble" in state:
             # an error may name a method
             trouble = "some parts can't be shown" if self._blind else state["trouble"]
@@ -112,7 +112,7 @@ class LivePanel:
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
         self._name = gui.add_text(
-            "Name", "", visible=False, hint="of the take; Space and X stop the robot here, too"
+            "Name", "", visible=False, hint="of the take; Space and X also stop the robot here"
         )
         self._keep = gui.add_button("Keep", icon=viser.Icon.CHECK, visible=False)
         self._discard = gui.add_button(
@@ -159,7 +159,7 @@ class LivePanel:
 
         self._overlay = switch("Overlay", False, "set_overlay", "human inside robot")
         self._vectors = switch("Keyvectors", True, "set_keyvectors", "thumb tip to fingertips")
-        hint = "the vendor's meshes, or simple shapes"
+        hint = "show the vendor's meshes or simple shapes"
         self._meshes_box = switch("Meshes", True, "set_meshes", hint, visible=False)
         if self._scene.simulated:
             self._own = switch("Own hand at a task", False, "set_own", "as tracked")
@@ -170,12 +170,12 @@ class LivePanel:
         self._meshes_note = gui.add_markdown("", visible=False)
 
     def _toggle_pause(self) -> None:
-        """Pauses or resumes; does nothing in an emergency stop, which only a release ends."""
+        """Pauses or resumes; does nothing during an emergency stop, which only a release ends."""
         if not self._stopped:
             self._do("resume" if self._paused else "pause")
 
     def show_meshes(self, there: bool, note: str) -> None:
-        """Shows the switch of the meshes, and the reason if there are none."""
+        """Shows the switch for meshes, and the reason if there are no meshes."""
         self._meshes_box.visible = there
         self._meshes_note.content = plain(note)
         self._meshes_note.visible = bool(note)
@@ -215,10 +215,11 @@ class LivePanel:
             handle.visible = take["open"]
 
     def _measure(self, files: Sequence[str]) -> None:
-        """Measures a take for seconds, in the page's process, which does not delay the loop."""
+        """Measures a take's quality. It takes seconds, but runs in the page's process, so it does
+        not delay the loop."""
 
         def hand_of(file: str) -> Hand:
-            """The hand of a file, by its name if there are two."""
+            """The hand of a file; if there are two hands, the one that the file's name states."""
             own = [hand for side, hand in self._hands.items() if f".{side}." in Path(file).name]
             return (own or list(self._hands.values()))[0]
 
@@ -233,7 +234,7 @@ class LivePanel:
 
 
 def _choose(dropdown: Any, options: list[str], value: str) -> None:
-    """Sets a dropdown's options and value; the value may be a file, which is one more option."""
+    """Sets a dropdown's options and value; a value that is a file becomes an additional option."""
     options = options if value in options else [*options, value]
     if tuple(dropdown.options) != tuple(options):
         dropdown.options = tuple(options)

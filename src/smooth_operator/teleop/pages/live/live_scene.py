@@ -1,4 +1,4 @@
-"""Hands of both sides on the live page: human, robot command, simulated robot, task and arms."""
+"""3D scene of the live page: human hands, commanded and simulated robot hands, tasks and arms."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ from smooth_operator.types import Side
 _SCALE: Final = 0.32  # scale of the room; the hands beside it have their own size
 _AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # direction from the arms to the viewer
 _ROOM: Final = ((-0.25, 0.9), (0.35, 0.35), (0.0, 1.0))
-"""Part of the room in the picture [m]: range of x, margins in y outside the bases, range of z."""
+"""Part of the room that is shown [m]: range of x, margins in y outside the bases, range of z."""
 _TABLE: Final = (1.6, 0.1)  # size of the table and of its cells [m]
 _GRID: Final[Rgb] = (100, 110, 124)
 _GHOST: Final = 0.35  # opacity of the measured arm
@@ -67,10 +67,10 @@ _AXES: Final = (0.12, 0.006)  # length and thickness of the target's axes [m]
 
 
 class ArmRoom:
-    """Arms with hands in a room, on a smaller scale.
+    """Draws the arms with their hands in a room, at a smaller scale.
 
-    The solid arm is at its command, a translucent one at the measured positions, if there are some.
-    Three axes show the target of the wrist.
+    The solid arm shows the command; a translucent arm shows the measured positions, if there are
+    any. Three axes show the target of the wrist.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class ArmRoom:
         return np.asarray(self._high - self._low)
 
     def put(self, middle: Float[np.ndarray, "3"]) -> None:
-        """Places the picture; its middle is given right, up and toward the viewer [m]."""
+        """Places the picture; ``middle`` is its centre: right, up and toward the viewer [m]."""
         offset = middle - (self._low + self._high) / 2
         pose = pose_of(rigid(_VIEW.T @ self._rows, offset @ _VIEW))
         self._root.position, self._root.wxyz = pose[:3], pose[3:]
@@ -127,7 +127,7 @@ class ArmRoom:
 
 
 class _ArmView:
-    """One arm with its hand, in the room."""
+    """Draws one arm with its hand in the room."""
 
     def __init__(
         self, scene: viser.SceneApi, root: str, carried: CarriedHand, measured: bool
@@ -175,7 +175,7 @@ class _ArmView:
             put(self._target, np.array(target[:3]), np.array(target[3:]))
 
     def place_scenery(self, fixture: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
-        """Places the task at a pose in the arm's base; returns its pose in the palm frame."""
+        """Places the task at a pose in the arm's base frame; returns its pose in the palm frame."""
         self.scenery.place(fixture)
         return poses.relative(pose_of(self._palm), fixture)
 
@@ -186,7 +186,7 @@ _ROUND: Final = 24  # edges of round shapes, which are small on the page
 
 
 class SceneryNodes:
-    """Shapes of a task around one robot hand, in the palm frame ``root``."""
+    """Draws the shapes of a task around one robot hand, in the palm frame ``root``."""
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
         self._scene, self._root, self._scale = scene, root, scale
@@ -207,7 +207,7 @@ class SceneryNodes:
         return corners
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
-        """Replaces the shapes; see ``Scenery``."""
+        """Shows other shapes; see ``Scenery``."""
         for node, _, _ in self._parts:
             node.remove()
         self._parts = []
@@ -233,7 +233,7 @@ class SceneryNodes:
         self._put()
 
     def draw(self, pose: Sequence[float] | None) -> None:
-        """Places the object at a pose; None leaves it."""
+        """Places the object at a pose; None leaves it where it is."""
         if pose is not None:
             self._object = np.array(pose, float)
             self._put()
@@ -245,7 +245,7 @@ class SceneryNodes:
                 node.visible = not hidden
 
     def place(self, pose: Float[np.ndarray, "7"]) -> None:
-        """Places the frame of the shapes in that of the node's parent."""
+        """Sets the pose of the shapes' frame in the frame of the node's parent."""
         self._fixture = pose
         self._put()
 
@@ -280,7 +280,7 @@ _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up
 
 
 class LiveScene:
-    """All nodes of the live page. Palms face the viewer with the fingers up.
+    """The 3D scene of the live page. Palms face the viewer with the fingers up.
 
     Args:
         server: the viser server.
@@ -288,7 +288,7 @@ class LiveScene:
         simulated: True if there is a simulated hand.
         drawn: side -> the same hand on a model with meshes; see ``add_meshes``.
         arm: settings of the arms that carry the hands; None for no arm.
-        root: name of the scene's node, which no earlier scene on the server had.
+        root: name of the scene's root node; no earlier scene on the server may have used it.
     """
 
     def __init__(
@@ -417,7 +417,7 @@ class LiveScene:
                     view.scenery.place(arm.place_scenery(np.array(fixture, float)))
 
     def set_overlay(self, overlay: bool) -> None:
-        """Puts each human hand inside its robot, or side by side."""
+        """Shows each human hand inside its robot hand, or side by side."""
         for view in self._sides.values():
             view.set_overlay(overlay)
 
@@ -433,23 +433,23 @@ class LiveScene:
             view.targets.set_visible(visible)
 
     def set_simulated(self, visible: bool) -> None:
-        """Shows or hides the simulated hand in the robot's place."""
+        """Shows or hides the simulated hand that overlaps the robot hand."""
         for view in self._sides.values():
             view.robot.show(second=visible)
 
     def add_meshes(self, views: Mapping[Side, HandView]) -> None:
-        """Draws robots with meshes from now on; a switch still shows the simple shapes."""
+        """Draws the robots with meshes from now on; a switch can still show simple shapes."""
         for side, view in views.items():
             self._sides[side].robot.add(view)
 
     def set_meshes(self, visible: bool) -> None:
-        """Draws the meshes, if there are some, or simple shapes."""
+        """Draws the meshes, if there are any, or simple shapes."""
         for view in self._sides.values():
             view.robot.show(meshes=visible)
 
 
 class _SideView:
-    """The hands of one side."""
+    """Draws the human hand and the robot hands of one side."""
 
     def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool, root: str) -> None:
         side = hand.spec.side
@@ -479,13 +479,14 @@ class _SideView:
         self._with_human = self.row.roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
-        """Sets the offsets of the pictures side by side: right and up [m]."""
+        """Sets the offsets of the human hand and the robot hand, right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
         self.set_overlay(self._overlaid)
 
     def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
-        """Joint positions of the solid hand, and of the second one, visible where it differs."""
+        """Joint positions of the solid hand and of the second hand, which shows where they
+        differ."""
         every = np.asarray(state["positions"], float)
         if not self._with_simulated or state.get("simulated") is None:
             return every, None
@@ -510,7 +511,8 @@ class _SideView:
         self.robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
-        """The human hand in the palm frame, as the method sees it; NaN for missing landmarks."""
+        """Landmarks of the human hand in the palm frame, as the method uses them; NaN if
+        missing."""
         unknown = np.full((21, 3), np.nan)
         if state.get("human") is None:
             return unknown
@@ -532,7 +534,7 @@ class _SideView:
         Args:
             axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for a view of
                 the palm with the fingers up.
-            object_pose: pose of the task's object, for which the picture has room, too.
+            object_pose: pose of the task's object, which the picture must also show.
         """
         rows = self._axes if axes is None else np.asarray(axes, float)
         turn, wxyz = _VIEW.T @ rows, np.empty(4)
@@ -549,7 +551,7 @@ class _SideView:
             label.position = end
 
     def _hull(self) -> Float[np.ndarray, "p 3"]:
-        """(p, 3) points around human and robot hand, in the palm frame [m]."""
+        """(p, 3) points that enclose the human and the robot hand, in the palm frame [m]."""
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]

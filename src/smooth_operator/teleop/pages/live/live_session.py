@@ -1,4 +1,4 @@
-"""State of a running loop for its page as JSON, actions of the page's controls, and takes."""
+"""State of a running loop as JSON for its page, actions of the page's controls, and takes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ _NAME: Final = re.compile(r"[\w.-]{1,80}")
 
 @dataclass(frozen=True)
 class _Take(RecordSink):
-    """A recording with the configuration at its start, which may differ from that of the run."""
+    """Recorder of a take; stores the configuration at the take's start, which may differ from that
+    of the run's start."""
 
     configuration: Callable[[], Mapping[str, Any]] = dict
 
@@ -49,16 +50,17 @@ class _Take(RecordSink):
 
 
 class Takes:
-    """Starts and ends recordings. An ended take is whole in its numbered file, which remains if the
-    operator decides nothing.
+    """Starts and ends recordings (takes). An ended take is complete in its numbered file and is
+    kept unless the operator discards it.
 
     Args:
         sinks: sinks of the running loop.
         folder: folder of the takes.
-        configuration: settings that have changed since the start of the run, for the log.
+        configuration: returns the settings that have changed since the start of the run, for the
+            log.
 
     Attributes:
-        error: reason why the last action failed; empty if it did not.
+        error: reason why the last action failed; empty if it succeeded.
         kept: number of takes of this run that were not discarded.
     """
 
@@ -79,7 +81,7 @@ class Takes:
         self._working = threading.Lock()
 
     def state(self) -> dict[str, Any]:
-        """State for the page, as JSON values."""
+        """State of the takes for the page, as JSON values."""
         take = self._take
         return {
             "recording": "" if take is None else ", ".join(path.name for path in take.paths),
@@ -97,7 +99,7 @@ class Takes:
         """Keeps the last take and renames it if there is a name.
 
         Raises:
-            ConfigError: there is no take, or the name is not possible for a file.
+            ConfigError: there is no take, or the name is not valid for a file.
             OutputError: the file can't be renamed.
         """
         with self._working:
@@ -110,7 +112,7 @@ class Takes:
         """Deletes the last take.
 
         Raises:
-            ConfigError: there is no take to decide.
+            ConfigError: there is no take to discard.
             OutputError: its file can't be deleted.
         """
         with self._working:
@@ -130,7 +132,7 @@ class Takes:
         return self._last
 
     def _rename(self, name: str) -> None:
-        """Renames all files of the last take, or none."""
+        """Renames all files of the last take; if one fails, renames none."""
         if not _NAME.fullmatch(name) or name.startswith("."):
             raise ConfigError(
                 f"a take can't be called {name!r}: use only letters, digits, '-', '_' and '.'"
@@ -141,7 +143,7 @@ class Takes:
         }
         if len(set(named.values())) < len(named):
             raise ConfigError(
-                "the take was interrupted and is in several files: keep them under their names"
+                "the take was interrupted and is in several files: keep it without a new name"
             )
         taken = [file.name for file in named.values() if file.exists()]
         if taken:
@@ -176,22 +178,23 @@ _SEEN_S: Final = 1.0  # time without tracking after which the human hand disappe
 _EVENTS: Final = 6
 _RATE_S, _FRAME_RATE_S = 0.9, 2.0  # windows of the rates of commands and of the tracker [s]
 _TELLING: Final = ("solve", "total")
-"""Stages whose time would reveal the method."""
+"""Stages whose duration would reveal the method."""
 
 
 class LiveSession:
-    """State and actions of a loop for a page. Its methods are for the page's thread, except
-    ``watch``, which is for the loop's thread.
+    """State and actions of a loop for a page. The page's threads call its methods, except
+    ``watch``, which the loop's thread calls.
 
     Args:
         loop: the running loop.
         request: settings of the run.
         sinks: sinks at the start of the run; a simulated hand among them is shown with its task.
         folder: folder of the recordings.
-        switcher: builder of methods; None for a new one.
+        switcher: switcher of methods; None for a new one.
         trial: returns the state of a task's trial, or None.
-        blind: hide the method from the operator, who can't change it.
-        change_hand: restarts the run with the hand of a name; None if that is not possible.
+        blind: hide the method from the operator, who then can't change it.
+        change_hand: restarts the run with another hand, given its name; None if that is not
+            possible.
         other_hands: names for ``change_hand``.
     """
 
@@ -242,7 +245,7 @@ class LiveSession:
         self._next_hand = ""
 
     def watch(self, tick: Tick) -> None:
-        """Takes the state of a tick; the loop calls it after its sinks."""
+        """Stores the state of a tick; the loop calls this after its sinks."""
         self._ticks[tick.side] = tick
         if tick.mode is Mode.STOPPED:
             self._stopping = False
@@ -256,34 +259,34 @@ class LiveSession:
             self._events.append((tick.time, line))
 
     def do(self, name: str, *values: Any) -> None:
-        """Carries out an action of a control; an error becomes a message on the page."""
+        """Carries out the action of a control; an error becomes a message on the page."""
         try:
             if name not in self._actions:
-                raise ConfigError(f"the page asks for {name!r}, which is unknown")
+                raise ConfigError(f"the page requests the unknown action {name!r}")
             self._message = ""
             self._actions[name](*values)
         except SmoothOperatorError as error:
             self._message = str(error)
         except TypeError:
-            self._message = f"the page asks for {name!r} with wrong values"
+            self._message = f"the page requests the action {name!r} with wrong values"
         except Exception as error:  # the page must go on because of its stop
             words = f"{name}: {type(error).__name__}: {error}"
             self._message = self._masked(
                 words, f"{name} failed; the experimenter's page shows the reason"
             )
-            print_note(f"note: a click on the page: {words}")
+            print_note(f"note: a click on the page failed: {words}")
 
     @property
     def stopped(self) -> bool:
-        """True if an emergency stop holds a hand, now or from the loop's next command on."""
+        """True if an emergency stop holds a hand, now or as of the loop's next command."""
         return self._stopping or any(p.supervisor.stopped for p in self.loop.pipelines.values())
 
     def look(self, *, text: bool, scenery: int = 0) -> dict[str, Any]:
-        """The state for the page, as JSON values.
+        """Returns the state for the page, as JSON values.
 
         Args:
-            text: include figures and controls.
-            scenery: number of the task's scene whose shapes the page has.
+            text: include statistics and controls.
+            scenery: number of the task scene whose shapes the page already has.
         """
         if self._next_hand:  # source and sinks end now, which is not a failure
             return {
@@ -347,7 +350,7 @@ class LiveSession:
         }
 
     def _measured(self, side: Side) -> np.ndarray | None:
-        """(n,) positions of a real or simulated hand [rad], preferably that of a task."""
+        """(n,) measured positions of a real or simulated hand [rad], preferably that of a task."""
         simulation = self._simulation
         if simulation is not None and simulation.task_now != "none":
             simulated = simulation.state(side)
@@ -389,7 +392,7 @@ class LiveSession:
             "building": building and f"{building}, {since:.0f} s",
             "message": self._message
             or self._masked(
-                switcher.error, "that did not work; the experimenter's page shows the reason"
+                switcher.error, "the change failed; the experimenter's page shows the reason"
             )
             or self.takes.error,
             "stopped": self.stopped,
@@ -412,7 +415,7 @@ class LiveSession:
         return now - self._begun.setdefault(what, now)
 
     def _masked(self, words: str, blind: str) -> str:
-        """A text that may name a method, replaced by ``blind`` on a blind page."""
+        """Replaces a text that may name a method by ``blind`` on a page that hides the method."""
         return blind if words and self.blind else words
 
     def _go_on_with(self, hand: str) -> None:
@@ -441,7 +444,7 @@ def _arm(arm: ArmCommand, wrist: WristCommand | None) -> dict[str, Any]:
 
 
 def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | None:
-    """State of a wrist; None if the tracker has no wrist."""
+    """State of a wrist for the page; None if the tracker does not measure it."""
     pose, command = arrival.frame.T_world_wrist, tick.wrist
     if pose is None or command is None:
         return None
@@ -453,7 +456,8 @@ def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | Non
 
 
 def _gaps_mm(pipeline: HandPipeline, arrival: Arrival) -> dict[str, float] | None:
-    """Finger -> its distance from the thumb at a touch, as tracked [mm]; None if unknown."""
+    """Finger -> distance from the thumb that the tracker reports at a touch [mm]; None if
+    unknown."""
     landmarks = arrival.frame.landmarks
     palm = 1e3 * float(np.linalg.norm(landmarks[BASES[2]] - landmarks[WRIST]))
     gaps = {name: round(gap * palm, 1) for name, gap in pipeline.pinch_gaps.items()}
@@ -461,7 +465,7 @@ def _gaps_mm(pipeline: HandPipeline, arrival: Arrival) -> dict[str, float] | Non
 
 
 def _trusted(arrival: Arrival) -> np.ndarray:
-    """(21, 3) landmarks in the tracker's frame [m]; NaN if not valid."""
+    """(21, 3) landmarks in the tracker's frame [m]; NaN where not valid."""
     frame = arrival.frame
     assert frame.valid is not None  # filled in on construction
     return np.where(frame.valid[:, None], frame.landmarks, np.nan)
@@ -472,10 +476,10 @@ def _numbers(*arrays: np.ndarray) -> list[float]:
 
 
 class RateMeter:
-    """Rate of a count over a window of at least ``window`` seconds.
+    """Measures the rate of a counter over windows of at least ``window`` seconds.
 
     Attributes:
-        rate: rate of the last whole window [Hz]; None before its end.
+        rate: rate over the last complete window [Hz]; None before the end of the first.
     """
 
     def __init__(self, window: float) -> None:
@@ -484,7 +488,7 @@ class RateMeter:
         self._start: tuple[int, float] | None = None
 
     def count(self, number: int, time: float) -> None:
-        """Takes the count at a time of a monotonic clock [s]."""
+        """Updates the rate with the counter's value at a time of a monotonic clock [s]."""
         if self._start is None:
             self._start = number, time
         elif time - self._start[1] >= self._window:
@@ -493,22 +497,22 @@ class RateMeter:
 
 
 class Scenery:
-    """State of a simulation, with or without a task, as JSON values in the palm frame."""
+    """Provides the state of a simulation's task scenes as JSON values, in the palm frame."""
 
     def __init__(self, simulation: LiveSimulation) -> None:
         self._simulation = simulation
 
     def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
-        """The scenes of the tasks.
+        """Returns the task scenes.
 
         Args:
-            shown_number: number of the scenes whose shapes the page has.
+            shown_number: number of the scenes whose shapes the page already has.
 
         Returns:
             ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (wxyz) of the
-            object; ``away``: sides without an object now; ``fixtures``: side -> pose of the palm
-            frame in the base of an arm that carries the hand; for a new number also ``parts``: side
-            -> shapes, and ``views``: side -> rows right, up and toward the viewer.
+            object; ``away``: sides whose object is currently removed; ``fixtures``: side -> pose of
+            the palm frame in the base of an arm that carries the hand; for a new number also
+            ``parts``: side -> shapes, and ``views``: side -> rows right, up and toward the viewer.
         """
         simulation, number = self._simulation, self._simulation.world_number
         shown: dict[str, Any] = {"number": number, "poses": {}, "away": [], "fixtures": {}}

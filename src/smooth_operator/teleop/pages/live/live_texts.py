@@ -1,4 +1,5 @@
-"""Texts of the live page as HTML, by the macros of ``live_texts.html.j2``, which escape values."""
+"""Texts of the live page as HTML, made by the macros of ``live_texts.html.j2``, which escape
+values."""
 
 from __future__ import annotations
 
@@ -27,12 +28,12 @@ def _macros() -> Any:
 
 
 def modes(hands: Mapping[str, Mapping[str, Any]], notice: str = "") -> str:
-    """Mode of each hand of ``LiveSession.look``; without hands, the notice."""
+    """Mode of each hand from ``LiveSession.look``; the notice if there are no hands."""
     return str(_macros().modes(hands, notice))
 
 
 def summary(status: Mapping[str, Any]) -> str:
-    """Rates of the tracker and of the commands, latency, and state of the source."""
+    """Rates of the tracker and the commands, latency, and state of the source."""
     frames, commands = _rates(status["frame_rates"]), _rates(status["rates"])
     return str(_macros().summary(status, frames, commands))
 
@@ -48,17 +49,17 @@ def timing(status: Mapping[str, Any]) -> str:
 
 
 def slow(delay: float) -> str:
-    """Warning about a browser with a large delay [s]; otherwise empty."""
+    """Warning if a browser has a large delay [s]; otherwise empty."""
     return "" if delay < _SLOW_S else str(_macros().slow(delay))
 
 
 def notice(building: str, message: str) -> str:
-    """Current work and the last error; empty without both."""
+    """Work in progress and the last error; empty if there is neither."""
     return str(_macros().notice(building, message)) if building or message else ""
 
 
 def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
-    """The current take, or the last one with its quality; empty before the first.
+    """The current take, or the last one with its quality; empty before the first take.
 
     Args:
         state: result of ``Takes.state``.
@@ -71,7 +72,7 @@ def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
 
 
 def _facts(quality: Any) -> list[tuple[bool, str]]:
-    """Faults of a take, each with True if there is one."""
+    """Facts about a take's quality, each with True if it is a fault."""
     if quality.collision is None:
         collision = "self-collision can't be measured"
     else:
@@ -93,7 +94,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
     Args:
         fingers: fingers of the robot hand, thumb first.
         simulated: True if there is a simulated robot.
-        task: True if it works on a task and is therefore the solid one.
+        task: True if the simulated robot works on a task and is therefore drawn solid.
     """
     solid, other = "robot command", "simulated or measured robot, if it differs"
     if task:
@@ -111,7 +112,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
 
 
 def _rates(rates: Mapping[str, float | None]) -> str:
-    """Rates of the hands; those below 10 Hz have a decimal."""
+    """Rates of the hands; rates below 10 Hz have one decimal."""
     words = [
         "–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
         for r in rates.values()
@@ -120,7 +121,8 @@ def _rates(rates: Mapping[str, float | None]) -> str:
 
 
 def trial(state: Mapping[str, Any] | None) -> str:
-    """Task, number, clock and sign of a trial of ``TaskTrials.shown``; empty without a task."""
+    """Task, number, clock and signal of the trial from ``TaskTrials.shown``; empty without a
+    task."""
     return "" if state is None else str(_macros().trial(state, *_phase(state)))
 
 

@@ -16,7 +16,8 @@ from smooth_operator.teleop.pages.live.stop_panel import StopPanel
 from smooth_operator.teleop.pages.viser_server import name_panel, name_tab, open_server, page_url
 
 _NICE: Final = 5
-"""Priority below that of the loop; the page still gets some time on a busy machine."""
+"""Nice value of the page's process: below the loop's priority, but not starved on a busy
+machine."""
 
 
 def main() -> None:

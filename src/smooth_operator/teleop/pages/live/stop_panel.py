@@ -1,6 +1,6 @@
 """Emergency stop of the live page: buttons, keys, and a warning when it does not work.
 
-It only needs viser, so it is on the page before the hand is read.
+It needs nothing but viser, so it is on the page before the hand has been read.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
 
 
 class StopPanel:
-    """Buttons and keys above all later elements of a page.
+    """Emergency stop buttons and keys; placed above all later elements of a page.
 
     Args:
         server: server of the page.
         do: sends ``stop`` or ``release`` to the loop's process.
-        attended: True if the terminal of the run has keys.
+        attended: True if the terminal of the run accepts keys.
     """
 
     def __init__(self, server: GuardedServer, do: Callable[[str], None], *, attended: bool) -> None:
@@ -58,7 +58,7 @@ class StopPanel:
             server.front.scripts.append(script.replace("ALIVE_PATH", ALIVE_PATH))
 
     def show(self, stopped: bool) -> None:
-        """Shows the state of the loop: True if an emergency stop holds the robot."""
+        """Shows whether an emergency stop holds the robot."""
         self._alone = False
         self._show(stopped)
 

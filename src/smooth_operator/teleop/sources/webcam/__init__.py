@@ -1,1 +1,1 @@
-"""A camera or a video file as a tracker: pictures, MediaPipe's hand landmarks, sides of hands."""
+"""Sources that track bare hands in a camera's pictures or a video file, with MediaPipe."""

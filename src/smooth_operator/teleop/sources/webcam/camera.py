@@ -1,4 +1,4 @@
-"""Cameras (newest picture only, with reconnection) and video files, by OpenCV."""
+"""Reads cameras (newest picture only, with reconnection) and video files with OpenCV."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ SYSTEM_LIBRARIES: Final = (
     "It needs system libraries: sudo apt install libgl1 libglib2.0-0 libxcb1 libegl1 "
     "libgles2 (Debian, Ubuntu)"
 )
-"""Libraries for OpenCV and MediaPipe on a Linux without a desktop."""
+"""Advice on the libraries that OpenCV and MediaPipe need on Linux without a desktop."""
 
 _FAILURES: Final[list[str]] = []  # the error of this process's first import of OpenCV
 
 
 def opencv() -> Any:
-    """OpenCV's module.
+    """Imports OpenCV and returns its module.
 
     Raises:
         MissingExtraError: it is not installed.
-        SourceError: it can't be loaded; with the libraries that it needs.
+        SourceError: it can't be loaded; the error names the libraries that it needs.
     """
     if _FAILURES:
         raise SourceError(_FAILURES[0])
@@ -62,11 +62,11 @@ Capture: TypeAlias = Any  # OpenCV has no types for mypy
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture.
+    """One picture of a camera.
 
     Attributes:
         pixels: blue, green, red.
-        time: time of reading, by the loop's clock [s].
+        time: time at which it was read, by the loop's clock [s].
         session: number of earlier reconnections of the camera.
     """
 
@@ -76,11 +76,11 @@ class Picture:
 
 
 class Camera:
-    """A camera and the thread that reads it, so that no picture waits in a queue.
+    """A camera and the thread that reads its pictures, so that none waits in a queue.
 
     Args:
         name: number, device or address of the camera.
-        width: requested width of the pictures [pixels]; the camera may use another.
+        width: requested width of the pictures [pixels]; the camera may use a different one.
         height: requested height of the pictures [pixels].
         rate: requested picture rate [Hz].
 
@@ -105,7 +105,7 @@ class Camera:
         self._thread.start()
 
     def newest(self, timeout: float) -> Picture | None:
-        """Takes the newest picture; None if there is none within a timeout [s]."""
+        """Takes the newest picture; None if no picture arrives within a timeout [s]."""
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)
             picture, self._newest = self._newest, None
@@ -162,7 +162,7 @@ def open_camera(name: int | str, width: int, height: int, rate: float) -> Captur
 
 
 def _advice(cv2: Any, name: int | str) -> str:
-    """Advice for a camera that can't be opened, with the interfaces and devices of this machine."""
+    """Advice for a camera that can't be opened; names this machine's interfaces and devices."""
     backends = cv2.videoio_registry.getCameraBackends()
     tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
     advice = f"Interfaces that were tried: {tried or 'none'}."
@@ -188,7 +188,7 @@ def _advice(cv2: Any, name: int | str) -> str:
 
 
 def is_video(path: Path) -> bool:
-    """True if a file has the suffix of a video."""
+    """True if a file's suffix is that of a video."""
     return path.suffix.lower() in (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
 
 
@@ -217,13 +217,13 @@ class VideoFile:
         if not self._capture.isOpened() or not self._capture.grab():
             self.close()
             raise SourceError(
-                f"{path}: it can't be read as a video; H.264 in .mp4 is understood everywhere: "
+                f"{path}: it can't be read as a video; H.264 in .mp4 works everywhere: "
                 "ffmpeg -i INPUT -c:v libx264 out.mp4"
             )
         self._grabbed = True
 
     def advance(self) -> float | None:
-        """Goes to the next picture without unpacking it.
+        """Moves to the next picture without decoding it.
 
         Returns:
             its time in the video [s], which always increases; None at the end.
@@ -238,7 +238,7 @@ class VideoFile:
         return time
 
     def picture(self) -> UInt8[ndarray, "h w 3"] | None:
-        """The current picture, blue, green, red; None if it is damaged."""
+        """Decodes the current picture (blue, green, red); None if it is damaged."""
         there, pixels = self._capture.retrieve()
         return pixels if there else None
 

@@ -1,4 +1,4 @@
-"""Tracker of hands in the pictures of cameras and videos, by MediaPipe."""
+"""Tracks hands in the pictures of cameras and videos with MediaPipe."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ Points: TypeAlias = Literal["world", "picture"]
 
 @dataclass(frozen=True, kw_only=True)
 class PictureConfig:
-    """Settings of the tracker of hands in pictures.
+    """Settings for tracking hands in pictures.
 
     Attributes:
-        mirrored: True for mirrored pictures, such as selfie views; the tracker turns them back.
+        mirrored: True for mirrored pictures, such as selfie views; the tracker mirrors them back.
         max_hands: largest number of hands, 1 or 2.
-        confidence: smallest confidence of the tracker in a hand, 0 to 1.
-        points: ``world``, the tracker's own positions in metres; ``picture``, its positions in the
-            picture, at the same size.
-        model: the hand-landmarker file; None for the published one, downloaded once.
+        confidence: smallest confidence at which the tracker reports a hand, 0 to 1.
+        points: ``world`` for the tracker's own positions in metres; ``picture`` for its positions
+            in the picture, scaled to the same size.
+        model: the hand-landmarker file; None for the published one, which is downloaded once.
     """
 
     mirrored: bool = False
@@ -75,7 +75,7 @@ class PictureTracker:
         self._tracks: Mapping[Side, Track] = {}
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
-        """Hands of a picture at a time [s], which is their stamp; at most one of each side.
+        """Finds the hands in a picture, at most one of each side; ``time`` [s] becomes their stamp.
 
         Raises:
             SourceError: MediaPipe failed.
@@ -95,11 +95,12 @@ class PictureTracker:
 
 
 def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
-    """Landmarks about the hand's centre [m]: x right in the picture, y down, z off the camera.
+    """Landmarks relative to the hand's centre [m]: x right in the picture, y down, z away from the
+    camera.
 
     Args:
-        points: see ``PictureConfig``. In the picture, fingertips are more precise, but depth is
-            flatter, so the lengths of bones vary more.
+        points: see ``PictureConfig``. With ``picture``, fingertips are more precise, but depth is
+            compressed, so the lengths of bones vary more.
     """
     if points == "world":
         return hand.world
@@ -112,11 +113,11 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
 MEMORY_S: Final = 0.3
 """Time for which the tracker remembers the place of a hand [s]."""
 REACH: Final = 1.5
-"""Distance that a hand may move in this time, in lengths of its palm."""
+"""Distance that a hand may move within ``MEMORY_S``, in lengths of its palm."""
 PATIENCE: Final = 8
-"""Number of successive pictures with a contradicting label after which the label counts."""
+"""Number of successive pictures with a contradicting side label after which it is accepted."""
 SAME: Final = 0.5
-"""Distance below which two detections are one hand, in lengths of the palm."""
+"""Distance below which two detections count as the same hand, in lengths of the palm."""
 
 _PALM: Final = (WRIST, *BASES[1:])
 
@@ -126,11 +127,12 @@ class SeenHand:
     """A detected hand in a picture.
 
     Attributes:
-        label: side by the tracker.
+        label: side according to the tracker.
         score: confidence in the side, 0 to 1.
-        world: (21, 3) positions about the hand's centre [m]: x right in the picture, y down, z away
-            from the camera.
-        picture: (21, 3) positions in the picture, all as shares of its width; z is about the wrist.
+        world: (21, 3) positions relative to the hand's centre [m]: x right in the picture, y down,
+            z away from the camera.
+        picture: (21, 3) positions in the picture, all as fractions of its width; z is relative to
+            the wrist.
         inside: (21,) True for a landmark within the picture.
     """
 
@@ -142,24 +144,24 @@ class SeenHand:
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """Middle of the palm in the picture."""
+        """Centre of the palm in the picture."""
         middle: np.ndarray = self.picture[list(_PALM), :2].mean(axis=0)
         return middle
 
     @property
     def size(self) -> float:
-        """Length of the palm in the picture, with its depth for a palm seen edge-on."""
+        """Length of the palm in the picture, including depth, in case the palm is seen edge-on."""
         return float(np.linalg.norm(self.picture[BASES[2]] - self.picture[WRIST]))
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Last place of a hand.
+    """Last known position of a hand in the pictures.
 
     Attributes:
-        centre: (2,) middle of the palm in the picture.
+        centre: (2,) centre of the palm in the picture.
         time: time of the picture [s].
-        doubts: number of successive pictures with a contradicting label.
+        doubts: number of successive pictures with a contradicting side label.
     """
 
     centre: Float[np.ndarray, "2"]
@@ -173,11 +175,11 @@ def assign_sides(
     """Assigns sides to the hands of a picture.
 
     Args:
-        tracks: last place of each hand; empty at the start.
+        tracks: last known position of each hand; empty at the start.
         time: time of the picture [s]; if it goes back, the tracks are discarded.
 
     Returns:
-        side -> hand, at most one of each; and the new tracks.
+        side -> hand, at most one per side; and the new tracks.
     """
     recent = {s: t for s, t in tracks.items() if 0.0 <= time - t.time <= MEMORY_S}
     distinct: list[SeenHand] = []
@@ -196,7 +198,7 @@ def assign_sides(
 
 
 def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
-    """Side of a hand, and number of successive pictures with a contradicting label."""
+    """Side of a hand, and number of successive pictures with a contradicting side label."""
     other: Side = "left" if hand.label == "right" else "right"
     was = recent.get(other)
     own = recent.get(hand.label)
@@ -211,7 +213,7 @@ def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
 
 
 def _rank(hand: SeenHand, side: Side, recent: Mapping[Side, Track]) -> tuple[bool, float]:
-    """Rank of a hand for a side: first a known hand, then by confidence."""
+    """Sort key of a hand for a side: known hands first, then by confidence."""
     was = recent.get(side)
     return was is not None and _distance(hand, was.centre) <= REACH, hand.score
 
@@ -226,7 +228,7 @@ _stderr = threading.Lock()
 
 
 class HandLandmarker:
-    """MediaPipe's landmarker for a stream of pictures, for one thread at a time.
+    """MediaPipe's hand landmarker for a stream of pictures; one thread at a time may use it.
 
     Args:
         model: the ``.task`` file.
@@ -265,7 +267,7 @@ class HandLandmarker:
             self.find(np.zeros((64, 64, 3), np.uint8), 0.0)  # the first call is slow and prints
 
     def find(self, picture: UInt8[np.ndarray, "h w 3"], time: float) -> list[SeenHand]:
-        """The hands of a picture.
+        """Finds the hands in a picture.
 
         Args:
             picture: red, green, blue; not mirrored.
@@ -349,7 +351,7 @@ def _without_noise() -> Iterator[None]:
 
 
 SWITCH: Final = "SMOOTH_OPERATOR_HAND_MODEL"
-"""Environment variable: path of the model file."""
+"""Environment variable with the path of the model file."""
 
 MODEL_URL: Final = (
     "https://storage.googleapis.com/mediapipe-models/hand_landmarker/hand_landmarker/float16/1/"
@@ -363,7 +365,7 @@ _CHUNK: Final = 2**16
 _NETWORK: Final = "hand_landmarks_detector.tflite"
 
 Progress: TypeAlias = Callable[[int, int | None], None]
-"""Called with the downloaded bytes, and the total bytes if known."""
+"""Function that is called with the number of bytes downloaded, and the total if known."""
 
 
 def model_cache() -> Path:
@@ -378,7 +380,7 @@ def hand_model(
     sha256: str = MODEL_SHA256,
     progress: Progress | None = None,
 ) -> Path:
-    """Path of the model: the file of the user, that of ``SWITCH``, or the published one.
+    """Path of the model: the user's file, the file that ``SWITCH`` names, or the published one.
 
     A damaged file in the cache is downloaded again.
 
@@ -386,11 +388,12 @@ def hand_model(
         file: path of the user's file.
         url: address of the published file.
         sha256: hash of the published file.
-        progress: called in a download; None for a line in a terminal's standard error.
+        progress: called during a download; None writes a line to standard error if it is a
+            terminal.
 
     Raises:
-        SourceError: there is no such file, or it is not a hand landmarker; it can't be downloaded,
-            or the download is not the published file.
+        SourceError: there is no such file, it is not a hand landmarker, it can't be downloaded, or
+            the download is not the published file.
         OutputError: the download can't be stored.
     """
     named = file or Path(os.environ.get(SWITCH, "").strip())
@@ -403,7 +406,7 @@ def hand_model(
 
 
 def _checked(path: Path, origin: str) -> Path:
-    """The user's file, if it is a hand landmarker."""
+    """Checks that the user's file is a hand landmarker, and returns its path."""
     if not path.is_file():
         raise SourceError(
             f"{origin}: there is no file {str(path)!r}; set the path of a "

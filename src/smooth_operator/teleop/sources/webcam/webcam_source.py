@@ -1,4 +1,4 @@
-"""The sources ``webcam`` and ``video``: bare hands in front of a camera."""
+"""The sources ``webcam`` and ``video``, which track bare hands with a camera or in a video."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from smooth_operator.types import HandFrame, HandRecording, Side
 
 @dataclass(frozen=True)
 class _Pictures(PictureConfig, ThreadedSource):
-    """A camera or a video with the settings of its tracker."""
+    """Base of the two sources: a camera or a video, with the settings of its tracker."""
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Known gaps of the tracker in pinches; see ``source_gaps``."""
+        """Gaps that the tracker is known to report in pinches; see ``source_gaps``."""
         return MEDIAPIPE if self.points == "world" else NO_GAPS
 
     def stop(self) -> None:
@@ -38,20 +38,21 @@ class _Pictures(PictureConfig, ThreadedSource):
         atexit.unregister(self.stop)
 
     def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
-        """Stores the opened objects for the thread."""
+        """Stores the opened objects for the source's thread."""
         object.__setattr__(self, "_opened", (pictures, tracker))
         atexit.register(self.stop)  # a thread in native code crashes at the interpreter's end
 
 
 @dataclass(frozen=True)
 class Webcam(_Pictures):
-    """A camera. Further settings are those of ``PictureConfig``.
+    """Source that tracks hands with a camera. Further settings are those of ``PictureConfig``.
 
-    A stamp is the time when a picture was read, by the loop's clock. A frame is received when its
-    hand is detected.
+    A frame's stamp is the time when its picture was read, by the loop's clock. The frame counts as
+    received when its hand has been detected.
 
     Attributes:
-        camera: its number, counted from 0; or a device, or an address such as ``rtsp://...``.
+        camera: number of the camera, counted from 0; or a device, or an address such as
+            ``rtsp://...``.
         width: requested width of the picture [pixels].
         height: requested height of the picture [pixels].
         rate: requested picture rate [Hz].
@@ -84,14 +85,14 @@ class Webcam(_Pictures):
         self._hold(camera, tracker)
 
     def run(self, running: Running) -> None:
-        """Posts the hands of the newest picture, again and again."""
+        """Posts the hands of the newest picture, repeatedly."""
         camera, tracker = self.__dict__.pop("_opened")
         with contextlib.closing(tracker), contextlib.closing(camera):
             while not running.stopping.is_set():
                 picture = camera.newest(timeout=0.1)
                 if picture is None:
                     if camera.lost:
-                        detail = "the camera is gone; trying to open it again"
+                        detail = "the camera was disconnected; trying to open it again"
                         running.health = SourceHealth("waiting", detail)
                     continue
                 frames = tracker.frames(picture.pixels, picture.time)
@@ -102,14 +103,15 @@ class Webcam(_Pictures):
 
 @dataclass(frozen=True)
 class Video(_Pictures):
-    """A video file. Further settings are those of ``PictureConfig``.
+    """Source that tracks hands in a video file. Further settings are those of ``PictureConfig``.
 
-    A stamp is the time of a picture in the video. A late tracker skips pictures, as with a camera.
+    A frame's stamp is the time of its picture in the video. If the tracker is too slow, pictures
+    are skipped, as with a camera.
 
     Attributes:
         path: the file.
         speed: playback seconds per second.
-        every: skip no picture; a late tracker delays the video.
+        every: use every picture; a slow tracker then delays the video.
         loop: start over at the end.
     """
 
@@ -202,17 +204,17 @@ def track_video(
     """Tracks one hand in a video file.
 
     Args:
-        side: side of the hand; None for the one in more pictures.
+        side: side of the hand; None for the side that is seen in more pictures.
         config: settings of the tracker; None for ``PictureConfig()``.
-        progress: called with the number of pictures done and the total, as the file gives it.
+        progress: called with the number of pictures done and the total according to the file.
 
     Returns:
-        a frame for each picture, NaN and not valid without the hand.
+        a frame for each picture; landmarks are NaN and not valid where the hand is not seen.
 
     Raises:
         MissingExtraError: MediaPipe is not installed.
         SourceError: the video can't be read, or the model can't be loaded.
-        RecordingError: the hand is in no picture.
+        RecordingError: the hand is not seen in any picture.
 
     Example:
         >>> recording = track_video("clip.mp4", side="right")  # doctest: +SKIP
@@ -234,10 +236,10 @@ def track_video(
     chosen = side or (counts.most_common(1)[0][0] if counts else "right")
     if not counts[chosen]:
         hand = f"{chosen} hand" if side else "hand"
-        others = f", but a {next(iter(counts))} hand is in {counts.total()}" if counts else ""
+        others = f", but a {next(iter(counts))} hand is seen in {counts.total()}" if counts else ""
         raise RecordingError(
-            f"{path}: no {hand} is in any of its {len(stamps)} pictures{others}. If the video is "
-            "mirrored, use --mirrored; otherwise use more light and keep the whole hand in view"
+            f"{path}: no {hand} is seen in any of its {len(stamps)} pictures{others}. If the video "
+            "is mirrored, use --mirrored; otherwise use more light and keep the whole hand in view"
         )
     landmarks = np.full((len(stamps), NUM_LANDMARKS, 3), np.nan)
     valid = np.zeros((len(stamps), NUM_LANDMARKS), bool)

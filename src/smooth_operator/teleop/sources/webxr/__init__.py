@@ -1,4 +1,4 @@
-"""A headset's browser as a tracker: the page, its server and the source of frames."""
+"""Source that uses a headset's browser as a tracker: the page, its server and the link."""
 
 from smooth_operator.teleop.sources.webxr.link import LinkState as LinkState
 from smooth_operator.teleop.sources.webxr.source import WebXr as WebXr

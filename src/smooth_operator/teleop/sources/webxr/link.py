@@ -1,4 +1,4 @@
-"""Protocol of the WebSocket: pairing, hands, and state of the link.
+"""Protocol of the WebSocket between the headset's page and this program: pairing, hands, state.
 
 Text messages are JSON objects with a ``type``; hands are binary (``.packet``).
 
@@ -11,11 +11,11 @@ from page    content                                                            
 ``stop``     nothing; the page repeats it until ``pong`` has the mode *stopped*
 ===========  ========================================================================  ============
 
-``welcome`` has the ``session``; ``pong`` has ``at`` again, ``host``, the time by the host's clock
-[s], ``rate``, the frames with a hand that arrive here [Hz], and ``mode``, the state of the loop
-(``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of the last rounds
-(as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by the host's clock, to
-within half the round trip.
+``welcome`` contains the ``session``. ``pong`` repeats ``at`` and contains ``host``, the time by the
+host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``, the state of
+the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of the
+last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by the
+host's clock, to within half the round trip.
 
 The first message must be ``hello``. A refused connection is closed with one of the codes below.
 """
@@ -63,17 +63,17 @@ class LinkState:
     """State of the link to the headset.
 
     Attributes:
-        address: address of the headset; None if none is connected.
-        session: number of this connection, from 1 on; 0 before the first.
+        address: address of the headset; None if no headset is connected.
+        session: number of this connection, counted from 1; 0 before the first connection.
         tracking: True while the headset's page tracks.
         frames: number of hand frames since the start of the source.
         bad: number of unreadable messages.
-        skipped: number of frames that the page did not send, since the link was late.
+        skipped: number of frames that the page did not send because the link was slow.
         refused: number of wrong pairing codes.
-        rate_hz: frames with a hand in the last second.
+        rate_hz: rate of frames with a hand over the last second [Hz].
         round_trip_s: round trip as the page measures it; NaN if unknown.
-        clock_offset_s: this machine's clock minus the page's; NaN if unknown. It turns a stamp into
-            a time by this machine's clock, to within half a round trip.
+        clock_offset_s: this machine's clock minus the page's; NaN if unknown. Added to a stamp, it
+            gives the time by this machine's clock, to within half a round trip.
     """
 
     address: str | None = None
@@ -104,7 +104,7 @@ class Link:
 
     @property
     def state(self) -> LinkState:
-        """A copy of the state of the link, from any thread."""
+        """A copy of the state of the link; safe from any thread."""
         return replace(self._state, refused=self._pairing.refused, rate_hz=self._rate())
 
     async def serve(self, connection: ServerConnection) -> None:
@@ -136,7 +136,7 @@ class Link:
                 self._begin(None)
 
     async def _paired(self, connection: ServerConnection, address: str) -> bool:
-        """True if the first message greets with the right code; otherwise closes the link."""
+        """True if the first message is a greeting with the right code; else closes the link."""
         try:
             hello = await asyncio.wait_for(connection.recv(), _HELLO_WITHIN)
         except TimeoutError:
@@ -232,7 +232,7 @@ def _number(value: object) -> float:
 
 MAGIC: Final = b"XRH1"
 SPACES: Final = ("local", "local-floor")
-"""Reference spaces of the page, by their number in a message."""
+"""Reference spaces of the page; a message contains the index of one of them."""
 JOINTS: Final = 25
 VALUES: Final = 8
 HEADER: Final = struct.Struct("<4sIdII")
@@ -248,7 +248,7 @@ _FAR: Final = 100.0  # farther from the headset's start than any room is large [
 
 @dataclass(frozen=True, eq=False)
 class Packet:
-    """One XR frame.
+    """Message with the hands of one XR frame.
 
     Attributes:
         number: number of the frame.
@@ -262,7 +262,7 @@ class Packet:
 
 
 def read_packet(message: bytes) -> Packet:
-    """Reads a message of the page; raises RecordingError for another one."""
+    """Reads a message of the page; raises RecordingError if it is not valid."""
     if len(message) < HEADER.size or message[:4] != MAGIC:
         raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
     _, number, stamp, hands, space = HEADER.unpack_from(message)
@@ -305,13 +305,14 @@ DIGITS: Final = 6
 WINDOW: Final = 60.0
 """Time for which a wrong code counts [s]."""
 PER_ADDRESS: Final = 5
-"""Number of wrong codes in this time that locks their address."""
+"""Number of wrong codes within ``WINDOW`` that locks their address."""
 IN_ALL: Final = 30
-"""Number that locks all addresses; half of a million codes then take eleven days."""
+"""Number of wrong codes within ``WINDOW`` that locks all addresses. Trying half of a million codes
+then takes eleven days."""
 
 
 class Pairing:
-    """Check of pairing codes, with limits on wrong ones.
+    """Checks pairing codes, and limits the number of wrong ones.
 
     Args:
         code: letters and digits; None for six random digits.
@@ -330,11 +331,11 @@ class Pairing:
 
     @property
     def spoken(self) -> str:
-        """The code in groups of three."""
+        """The code in groups of three characters, for display."""
         return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
 
     def check(self, code: str, address: str) -> Verdict:
-        """Checks the code of a client, and the number of wrong codes from its address."""
+        """Checks a client's code, and the number of wrong codes from its address."""
         now = self._clock()
         while self._wrong and now - self._wrong[0][0] > WINDOW:
             self._wrong.popleft()
@@ -350,7 +351,7 @@ class Pairing:
 
 
 def check_code(code: str) -> None:
-    """Raises ConfigError for a code that is easy to guess, or hard to type."""
+    """Raises ConfigError for a code that is easy to guess or hard to type."""
     code = plain(code)
     if not (DIGITS <= len(code) <= 64 and code.isascii() and code.isalnum()):
         raise ConfigError(f"a pairing code is {DIGITS} to 64 letters and digits, not {code!r}")

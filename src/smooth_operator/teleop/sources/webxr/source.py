@@ -1,4 +1,7 @@
-"""The source ``webxr``: hands from a headset's browser; page and WebSocket share a port."""
+"""The source ``webxr``, which receives hands from a headset's browser.
+
+The page and its WebSocket share one port.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +51,10 @@ SOCKET_PATH: Final = "/link"
 MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE_ADDRESS: Final = 24
 MOST_WAITING: Final = 12
-"""A page needs seven at most; a connection before the end of its TLS handshake takes 0.3 MB."""
+"""Largest number of connections that have not finished their TLS handshake. A page needs seven at
+most; each takes 0.3 MB."""
 _HANDSHAKE_S: Final = 5.0
-"""Longest time of TLS, of the request, and of the greeting [s]."""
+"""Time limit for each of the TLS handshake, the request and the greeting [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
 
 
@@ -110,9 +114,9 @@ class Certificate:
     """A stored certificate.
 
     Attributes:
-        file: key and certificate, PEM; only this user can read it.
-        public: the certificate alone, PEM.
-        expires: time of its expiry.
+        file: PEM file with key and certificate; only this user can read it.
+        public: the certificate alone, in PEM.
+        expires: time at which it expires.
         fingerprint: SHA-256 in the notation of browsers.
     """
 
@@ -123,7 +127,7 @@ class Certificate:
 
 
 def certificate_folder() -> Path | None:
-    """Folder of the certificates; None if ``SWITCH`` turns that off."""
+    """Folder in which certificates are stored; None if ``SWITCH`` turns storing off."""
     if os.environ.get(SWITCH, "").strip().lower() in OFF:
         return None
     return user_cache() / "webxr"
@@ -132,13 +136,13 @@ def certificate_folder() -> Path | None:
 def get_certificate(
     names: Sequence[str], folder: Path | None, now: datetime.datetime | None = None
 ) -> Certificate:
-    """Certificate for some names: the stored one, or a new one.
+    """Returns a certificate for some names: the stored one, or a new one.
 
-    Each set of names has a file, so that a laptop can alternate between two networks.
+    Each set of names has its own file, so that a laptop can alternate between two networks.
 
     Args:
-        folder: folder of the certificates; None for a folder of this run.
-        now: time with time zone; None for the current one.
+        folder: folder of the certificates; None for a temporary folder.
+        now: time with time zone; None for the current time.
 
     Raises:
         MissingExtraError: cryptography is not installed.
@@ -160,13 +164,13 @@ def get_certificate(
         _write(file, _make(names, now))
     except OSError as error:
         raise SourceError(
-            f"can't keep the certificate of the headset's page in {str(place)!r}: "
+            f"can't store the certificate of the headset's page in {str(place)!r}: "
             f"{error.strerror or error}; set {SWITCH} to a folder of your own, or to 'off'"
         ) from error
     created = _read(file, now)
     if created is None:
         raise SourceError(
-            f"can't keep a certificate in {str(place)!r}: other users could read it; set "
+            f"can't store a certificate in {str(place)!r}: other users could read it; set "
             f"{SWITCH} to a folder of your own"
         )
     return created
@@ -183,7 +187,8 @@ def _make_private(folder: Path) -> None:
 
 
 def _read(file: Path, now: datetime.datetime) -> Certificate | None:
-    """Stored certificate; None if it is missing, damaged, readable by others or about to expire."""
+    """Reads a stored certificate; None if it is missing, damaged, readable by others or about to
+    expire."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
 
@@ -218,7 +223,7 @@ def _write(file: Path, text: bytes) -> None:
 
 
 def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
-    """Key and certificate, PEM."""
+    """Makes a key and its certificate, in PEM."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -280,14 +285,14 @@ class WebXr(ThreadedSource):
     """Both hands from a headset's browser: Quest, Vision Pro, PICO.
 
     Serves a page over HTTPS, which sends the 25 joints of each hand after pairing with a code.
-    Stamps are by the headset's clock; ``link`` has the offset to this machine's. A new connection
-    is a new session and replaces the last one.
+    Stamps are by the headset's clock; ``link`` contains the offset to this machine's clock. A new
+    connection is a new session and replaces the previous one.
 
     Attributes:
-        host: address to listen on; ``127.0.0.1`` is this machine only (a headset on a cable),
-            ``0.0.0.0`` all its networks.
+        host: address to listen on; ``127.0.0.1`` for this machine only (a headset on a cable),
+            ``0.0.0.0`` for all its networks.
         port: TCP port; 0 for any free one.
-        code: pairing code, six letters and digits or more; a random one for each start if None.
+        code: pairing code of at least six letters and digits; None for a random one at each start.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -304,23 +309,23 @@ class WebXr(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """Host and port that it listens on."""
+        """Name of the source, with its host and port."""
         return f"webxr {self.host}:{self.port}"
 
     @property
     def addresses(self) -> tuple[str, ...]:
-        """Addresses of the page, the one to type first; empty before ``start``."""
+        """Addresses of the page; the first one is the one to type. Empty before ``start``."""
         opened: _Opened | None = getattr(self, "_opened", None)
         return () if opened is None else opened.addresses
 
     @property
     def link(self) -> LinkState:
-        """State of the link, at any time, from any thread."""
+        """State of the link; safe at any time and from any thread."""
         link: Link | None = getattr(self, "_link", None)
         return LinkState() if link is None else link.state
 
     def open(self) -> None:
-        """Makes the certificate and takes the port."""
+        """Gets the certificate and opens the port."""
         try:
             import websockets.asyncio.server  # noqa: F401
         except ImportError as error:
@@ -373,7 +378,7 @@ class _Opened:
 
 
 def describe(link: LinkState, addresses: tuple[str, ...], pairing: Pairing) -> SourceHealth:
-    """Health in a sentence."""
+    """Describes the state of the link in a sentence."""
     faults = [
         text
         for count, text in (
@@ -390,13 +395,13 @@ def describe(link: LinkState, addresses: tuple[str, ...], pairing: Pairing) -> S
                 "; only this machine can reach it, or a headset connected by cable with adb "
                 f"reverse; use webxr:0.0.0.0 for a headset on the network{also}"
             )
-        back = "the headset is gone; " if link.session else ""
+        back = "the headset has disconnected; " if link.session else ""
         return SourceHealth(
             "waiting",
             f"{back}open {where} in the headset's browser, pairing code {pairing.spoken}{also}",
         )
     if not link.rate_hz:
-        what = "no hands are sent" if link.tracking else "press Start on its page"
+        what = "it sends no hands" if link.tracking else "press Start on its page"
         return SourceHealth("waiting", f"headset {link.address} is paired: {what}{also}")
     trip = link.round_trip_s
     pace = "" if math.isnan(trip) else f", round trip {1e3 * trip:.0f} ms"
