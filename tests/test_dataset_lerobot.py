@@ -152,7 +152,7 @@ def test_quaternions_do_not_change_their_sign(tmp_path):
 
 def test_clips_of_other_rates_are_resampled(tmp_path):
     clips = [robot_clip(0), robot_clip(1, frames=61, rate=60.0), robot_clip(2, frames=11, rate=10)]
-    assert write(tmp_path / "out", clips) == ["2 clips: resampled to 30 frames a second"]
+    assert write(tmp_path / "out", clips) == ["2 clips: resampled to 30 frames per second"]
     _, frames, episodes = read(tmp_path / "out")
     assert episodes.column("length").to_pylist() == [40, 31, 31]
     exact = robot_clip(1, frames=31).commands["right"].joint_positions
@@ -163,7 +163,7 @@ def test_clips_of_other_rates_are_resampled(tmp_path):
 @pytest.mark.parametrize(
     ("second", "options", "said"),
     [
-        ({"wrists": False}, {}, "its wrists are not known"),
+        ({"wrists": False}, {}, "its wrists are unknown"),
         ({}, {"videos": "link"}, "has no video"),
     ],
 )
@@ -234,7 +234,7 @@ def test_a_video_of_several_clips_is_placed_once(how, tmp_path):
     film = mp4(tmp_path / "film.mp4")
     clips = [robot_clip(i, video=film, video_start_s=2.0 * i) for i in range(3)]
     clips.append(robot_clip(3, video=mp4(tmp_path / "other.mp4"), video_start_s=6.0))
-    assert write(tmp_path / "out", clips, videos=how) == ["1 clip: cut to the length of its video"]
+    assert write(tmp_path / "out", clips, videos=how) == ["1 clip: cut to the length of the video"]
     info, _, episodes = read(tmp_path / "out")
     assert info["features"][VIDEO_KEY]["shape"] == [48, 64, 3]
     assert info["features"][VIDEO_KEY]["info"]["video.codec"] == "h264"
@@ -254,11 +254,11 @@ def test_videos_that_do_not_fit_are_refused(tmp_path):
     film = mp4(tmp_path / "film.mp4")
     faster = mp4(tmp_path / "faster.mp4", step=256)
     assert float(video_head(faster).rate) == 60.0
-    with pytest.raises(RecordingError, match="60 frames a second, the data set 30"):
+    with pytest.raises(RecordingError, match="60 frames per second, but the data set has 30"):
         write(
             tmp_path / "a", [robot_clip(0, video=film), robot_clip(1, video=faster)], videos="link"
         )
-    with pytest.raises(RecordingError, match="15 were asked for"):
+    with pytest.raises(RecordingError, match="15 were requested"):
         write(tmp_path / "b", [robot_clip(0, video=film)], videos="link", rate=15.0)
     with pytest.raises(RecordingError, match="which has 200 frames"):
         write(tmp_path / "c", [robot_clip(0, video=film, video_start_s=7.0)], videos="link")

@@ -113,7 +113,7 @@ class Counting(Reporter):
     kept = items = 0
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        if counts := re.match(r"(\d+) to retarget, (\d+) done already", text):
+        if counts := re.match(r"(\d+) to retarget, (\d+) already done", text):
             self.kept = int(counts[2])
             self.items = self.kept + int(counts[1])
 
@@ -285,7 +285,7 @@ def test_frames_are_counted_in_the_data_set(copy, capsys):
     summary = make(slow)
     info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
     assert summary.written_frames == info["total_frames"] < summary.episode_frames
-    assert any("resampled to 25 frames a second" in note for note in summary.notes)
+    assert any("resampled to 25 frames per second" in note for note in summary.notes)
     report = (out / "report.json").read_bytes()
     make(slow)
     assert (out / "report.json").read_bytes() == report
@@ -312,7 +312,7 @@ def test_an_empty_result_names_the_limit_to_change(copy):
     assert summary.episodes == 0
     said = "\n".join(summary.notes)
     assert "Nothing was kept, so no data set is written" in said
-    assert re.search(r"5 of 6 break --min-seconds 1000\.0; the parts have [\d.]+ to [\d.]+\n", said)
+    assert re.search(r"5 of 6 violate --min-seconds 1000\.0; their values are [\d.]+ to [\d.]+\n", said)
     assert not (output / "dataset").exists()
     assert make(request(folder, output)).notes == []
     assert (output / "dataset").exists()
@@ -444,7 +444,7 @@ def test_sources_of_every_kind(folder, tmp_path):
         ("name\na\n", "needs the column 'path'"),
         ("t,x,y\n0,0.1,0.2\n1,0.1,0.2\n", "a table, not a recording; .*needs the column 'path'"),
         ("path,side\na,up\n", "side must be 'right' or 'left'"),
-        ("path,rate\na,fast\n", "rate must be a number of frames a second, not 'fast'"),
+        ("path,rate\na,fast\n", "rate must be a number of frames per second, not 'fast'"),
     ],
 )
 def test_invalid_lists(text, says, tmp_path):
@@ -680,7 +680,7 @@ def test_the_command(folder, tmp_path, capsys):
     said = capsys.readouterr()
     assert "1 clip (30 frames)" in said.out
     assert "can't be read" in said.out
-    assert "2 to retarget, 0 done already" in said.err
+    assert "2 to retarget, 0 already done" in said.err
     assert main([*words, "--min-seconds", "0.2", "--json", "--quiet"]) == 1
     summary = json.loads(capsys.readouterr().out)
     assert summary["clips"] == 1
@@ -695,11 +695,11 @@ def test_the_command(folder, tmp_path, capsys):
 
 
 def test_results_inside_the_source_are_refused(folder, tmp_path):
-    with pytest.raises(OutputError, match="the recordings are there"):
+    with pytest.raises(OutputError, match="it contains the recordings"):
         make(request(folder, folder))
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "mine.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(OutputError, match="has not written"):
+    with pytest.raises(OutputError, match="did not write"):
         make(request(folder / "a.pair.npz", tmp_path))
     with pytest.raises(RecordingError, match="no such file or folder"):
         make(request(tmp_path / "nothing", tmp_path / "out"))

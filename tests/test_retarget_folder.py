@@ -84,7 +84,7 @@ class Count(Reporter):
     again = ""
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        if counts := re.match(r"(\d+) to retarget, (\d+) done already", text):
+        if counts := re.match(r"(\d+) to retarget, (\d+) already done", text):
             self.kept = int(counts[2])
             self.items = self.kept + int(counts[1])
         elif "again" in text:
@@ -322,7 +322,7 @@ def test_refused_before_any_work(tmp_path):
     assert (output / "taken.npz").read_text(encoding="utf-8") == "my thesis"
     assert len(read_commands(output / "fine.npz")) == 3
     for there in (recordings, tmp_path):
-        with pytest.raises(OutputError, match="the recordings are there"):
+        with pytest.raises(OutputError, match="it contains the recordings"):
             do(recordings, there)
 
 
@@ -381,7 +381,7 @@ def test_the_command_retargets_a_folder_and_lists_failures(run, folder, expected
     assert len(read_commands(output / "norate.npz")) == 8
     status, out, err = run(*options, "--rate", 100)
     assert status == 0
-    assert "0 to retarget, 7 done already" in err
+    assert "0 to retarget, 7 already done" in err
 
 
 def test_every_run_shows_the_notes_on_the_reading(run, tmp_path):
@@ -411,7 +411,7 @@ def test_requests_that_the_command_refuses(run, folder, tmp_path):
     one = folder / "a.npz"
     for arguments, reason in (
         ((empty, "--output", output), "nothing to retarget in"),
-        ((folder, "--output", folder), "the recordings are there"),
+        ((folder, "--output", folder), "it contains the recordings"),
         ((folder, "--output", tmp_path / "out.npz"), "name a folder"),
         ((folder, "--output", other), "report.json"),
         ((folder, "--output", output, "--preset", "no"), "unknown preset"),

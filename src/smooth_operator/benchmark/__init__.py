@@ -1,4 +1,4 @@
-"""Benchmarks: measure recordings x hands x methods and produce a table of results, plots and a
+"""Benchmarks: measure every method on every recording and hand, and produce tables, plots and a
 report.
 
 ``plan_cells`` checks the request, ``run_suite`` measures, ``make_rows`` creates the rows of

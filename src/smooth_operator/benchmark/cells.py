@@ -39,19 +39,19 @@ class Settings:
         output: folder of the results.
         recordings: files, folders, or ``synthetic``; see ``benchmark.recordings``.
         hands: names of robot hands.
-        methods: names, as for ``select_methods``.
-        frames: ``A:B``, for recordings without their own range.
+        methods: names of methods, as for ``select_methods``.
+        frames: range of frames ``A:B``, for recordings without their own range.
         rate: frame rate of recordings without timestamps [Hz].
-        layout: order of the landmarks in plain arrays; None for the project's own.
+        layout: order of the landmarks in plain arrays; None for this project's order.
         side: side of recordings that do not state their side.
         seed: seed of the methods' random numbers.
         definition: definition of the metrics.
         metrics: ``package.module:attribute`` of further metrics, besides those of plugins.
         latency_frames: number of frames for the latency measurement; 0 skips it.
-        workers: processes for the quality of cells; None for one per core, 0 for none.
+        workers: number of processes that measure quality; None for one per core, 0 to use none.
         cluster: address of a Ray cluster instead of processes on this machine.
         fingers: robot finger -> human finger that drives it; None for all fingers of each hand.
-        operator: the calibrated operator of the recordings; None for none.
+        operator: the calibrated operator of the recordings; None if there is no calibration.
 
     Raises:
         ConfigError: a number is negative.
@@ -135,12 +135,12 @@ class Choice:
 
 
 def select_methods(names: tuple[str, ...]) -> list[Choice]:
-    """Methods and presets by name.
+    """Finds methods and presets by name.
 
     Args:
-        names: ``all`` for each method with its default preset, ``METHOD`` for one with its default,
-            ``METHOD:PRESET`` for a preset, ``METHOD:all`` for all presets of a method, and
-            ``METHOD:FILE`` for a trained model, where the method has one.
+        names: ``all`` for every method with its default preset, ``METHOD`` for one method with its
+            default preset, ``METHOD:PRESET`` for a preset, ``METHOD:all`` for all presets of a
+            method, and ``METHOD:FILE`` for a trained model, if the method uses one.
 
     Returns:
         The methods in the requested order, without duplicates.
@@ -307,7 +307,7 @@ def benchmark_code() -> str:
 
 @cache
 def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
-    """The description of the hand and the content of its model file, without its folder."""
+    """Identity of a hand: its description and the content of its model file, but not its folder."""
     try:
         spec = load_hand(name, side, fingers=dict(fingers) or None).spec
     except SmoothOperatorError as error:

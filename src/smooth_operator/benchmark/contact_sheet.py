@@ -1,4 +1,4 @@
-"""Contact sheet: rows of poses; the human hand and the robot hand of each method, in two views."""
+"""Contact sheet of poses: each row shows the human hand and the robot hand with each method."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Pose:
     Attributes:
         name: name of the pose, such as ``fist``.
         panel: the recording on the robot hand.
-        frame: index.
+        frame: index of the frame.
     """
 
     name: str
@@ -79,8 +79,8 @@ def pose_scores(human: Float[np.ndarray, "T 21 3"]) -> dict[str, Float[np.ndarra
         human: (T, 21, 3) landmarks, aligned to a robot [m]; NaN where a frame is not usable.
 
     Returns:
-        (T,) scores by the names ``POSES``: at ``OK`` thumb and index finger pinch while the others
-        are straight; at ``tripod`` the middle finger pinches, too.
+        name from ``POSES`` -> (T,) scores. In ``OK``, thumb and index finger pinch while the others
+        are straight; in ``tripod``, the middle finger also pinches.
     """
     chains = human[:, np.array(BASES[1:])[:, None] + np.arange(4)]
     extension = human_extensions(chains)
@@ -137,8 +137,8 @@ def contact_sheet(
     """Draws poses in rows: the human hand, then the robot hand with each method, seen from the palm
     and from the thumb's side.
 
-    Each hand stands upright on its own wrist. All pictures of the robot have one scale; all human
-    hands are drawn equally long.
+    Each hand is drawn upright in the frame of its own wrist. All pictures of the robot have the
+    same scale; all human hands are drawn with the same length.
 
     Args:
         names: poses to draw, in this order. Default: all.
@@ -207,11 +207,11 @@ def panels_by_hand(panels: Iterable[Panel]) -> dict[tuple[str, str], list[Panel]
 
 @dataclass(frozen=True, eq=False)
 class HandPicture:
-    """A hand in a pose, ready to be drawn from two sides.
+    """A hand in a pose, which can be drawn from two sides.
 
     Attributes:
-        surface: its triangles, the wrist at the origin [m].
-        views: rows right, up and toward the viewer, of each view.
+        surface: its triangles, with the wrist at the origin [m].
+        views: rows right, up and toward the viewer, for each view.
     """
 
     surface: Surface
@@ -219,7 +219,7 @@ class HandPicture:
 
     @classmethod
     def of_human(cls, points: Float[np.ndarray, "21 3"], side: Side) -> HandPicture:
-        """A human hand from its landmarks [m], scaled to a common length."""
+        """Makes a human hand from its landmarks [m], scaled to a common length."""
         middle = points[[WRIST, *range(BASES[2], BASES[2] + 4)]]
         points = points * (_HAND / np.linalg.norm(np.diff(middle, axis=0), axis=-1).sum())
         up = points[list(BASES[1:])].mean(axis=0) - points[WRIST]
@@ -232,13 +232,13 @@ class HandPicture:
 
     @classmethod
     def of_robot(cls, shape: HandShape, joints: Float[np.ndarray, " n"], side: Side) -> HandPicture:
-        """A robot hand at its joint positions [rad]."""
+        """Makes a robot hand at its joint positions [rad]."""
         surface = shape.surface(joints)
         placed = Surface(surface.triangles - shape.wrist, surface.colors)
         return cls(placed, (shape.view, from_thumb(shape.view, side)))
 
     def draw(self, frame: tuple[np.ndarray, float], size: int = CELL) -> UInt8[np.ndarray, "H W 3"]:
-        """The two views side by side, each ``size`` by ``size`` pixels.
+        """Draws the two views side by side, each ``size`` by ``size`` pixels.
 
         Args:
             frame: result of ``common_frame``.
@@ -250,21 +250,21 @@ class HandPicture:
         return np.concatenate(pictures, axis=1)
 
     def extent(self) -> Float[np.ndarray, "2 2 2"]:
-        """(view, low or high, right or up) [m]."""
+        """Bounds of the hand in each view [m]; axes: view, low or high, right or up."""
         corners = self.surface.triangles.reshape(-1, 3)
         flat = [corners @ view.T[:, :2] for view in self.views]
         return np.array([[points.min(axis=0), points.max(axis=0)] for points in flat])
 
 
 def common_frame(pictures: Sequence[HandPicture]) -> tuple[Float[np.ndarray, "2 2"], float]:
-    """Middle of each view, and half of the width that shows all of these hands [m]."""
+    """Centre of each view, and half of the width that is needed to show all of these hands [m]."""
     extents = np.array([picture.extent() for picture in pictures])
     low, high = extents[:, :, 0].min(axis=0), extents[:, :, 1].max(axis=0)
     return (low + high) / 2, 0.53 * float((high - low).max())
 
 
 def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, "3 3"]:
-    """The view turned to the thumb's side.
+    """Rotates the view of the palm to the thumb's side.
 
     Args:
         palm: rows right, up and toward a viewer who looks at the palm.

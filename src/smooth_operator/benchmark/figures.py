@@ -1,4 +1,4 @@
-"""Data for clips of one recording on one hand with all methods, and the plots of a report."""
+"""Plots of a benchmark's report, and the data of its clips."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A method in a panel; positions in the palm frame [m].
+    """Result of one method on a panel's recording; positions in the palm frame [m].
 
     Attributes:
         method: name of the method.
-        human: (T, 21, 3) the human hand, aligned as for the method; NaN in unusable frames.
-        robot: (T, 21, 3) the robot's landmarks; NaN where it has none.
+        human: (T, 21, 3) landmarks of the human hand, aligned as for the method; NaN in unusable
+            frames.
+        robot: (T, 21, 3) the robot's landmarks; NaN for landmarks that it does not have.
         joints: (T, n) joint positions [rad].
-        objects: (T, p, 3) points of objects; None for none.
+        objects: (T, p, 3) points of objects; None without objects.
     """
 
     method: str
@@ -62,14 +63,14 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One recording on one hand.
+    """One recording on one robot hand, with the results of all methods.
 
     Attributes:
         key: recording, hand, side.
         hand: the robot hand.
         stamps: (T,) time since the first frame [s].
         runs: the methods that produced commands, at least one.
-        edges: pairs of the runs' object points that a line joins.
+        edges: pairs of the runs' object points that are joined by a line.
     """
 
     key: tuple[str, str, str]
@@ -86,11 +87,12 @@ class Panel:
 
     @property
     def tips(self) -> list[int]:
-        """Landmarks of the fingertips that the robot has, thumb first."""
+        """Indices of the fingertip landmarks that the robot has, thumb first."""
         return [TIPS[FINGERS.index(finger)] for finger in self.hand.fingers]
 
     def window(self, seconds: float) -> slice:
-        """Period of the given length in which the human's fingertips travel the farthest."""
+        """Frames of the period of the given length in which the human's fingertips travel the
+        farthest."""
         tips = self.runs[0].human[:, self.tips] - self.runs[0].human[:, None, WRIST]
         steps = np.linalg.norm(np.diff(tips, axis=0), axis=-1)
         travelled = np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps).sum(axis=-1))])
@@ -100,7 +102,7 @@ class Panel:
 
 
 def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
-    """The panels of a benchmark, in the order of its cells, without failed cells."""
+    """Yields the panels of a benchmark, in the order of its cells, without failed cells."""
     groups: dict[tuple[str, str, str], list[tuple[Cell, Measured]]] = {}
     for one in finished:
         if one.measured is not None:
@@ -115,7 +117,7 @@ def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
 
 
 def run_of(todo: Plan, commands: CommandTrajectory) -> Run:
-    """The run of a plan with its commands."""
+    """Makes a run from a plan and its commands."""
     human = align_recording(todo.recording, todo.hand, todo.config.alignment)
     joints = np.asarray(commands.joint_positions, np.float64)
     label = method_label(todo.method, todo.preset)
@@ -123,14 +125,14 @@ def run_of(todo: Plan, commands: CommandTrajectory) -> Run:
 
 
 def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 21 3"]:
-    """Landmarks of a robot in the palm frame [m]; NaN where it has none."""
+    """Landmarks of a robot in the palm frame [m]; NaN for landmarks that it does not have."""
     robot = np.full((len(joints), NUM_LANDMARKS, 3), np.nan)
     robot[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.tree.positions(joints)
     return robot
 
 
 def robot_bones(hand: Hand) -> list[tuple[int, int]]:
-    """(parent, child) landmarks of the robot's skeleton, as far as the robot has them."""
+    """(parent, child) landmarks of the bones in the robot's skeleton that the robot has."""
     present = {LANDMARKS.index(name) for name in hand.tree.names}
     bones: list[tuple[int, int]] = []
     for base in BASES:
@@ -176,7 +178,7 @@ _POINTS: Final = 21 * 3 * 2 * 4 / 3  # bytes of one hand in one frame, in base64
 
 
 def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, Any]:
-    """Clip of one panel for the player, ready for JSON.
+    """Makes the clip of one panel for the player, ready for JSON.
 
     Args:
         colors: method -> colour.
@@ -318,7 +320,7 @@ def latency_figure(
     """Plots the latency of each method as a cloud of its frames with p50, p95 and p99, on a
     logarithmic axis.
 
-    The percentiles are means of those of each recording, as tables have them.
+    The percentiles are means over the percentiles of each recording, as in the tables.
 
     Args:
         samples: method -> its samples on each recording [ms].
@@ -516,5 +518,5 @@ def _line(color: str, style: Any, label: str) -> Any:
 
 
 def shortened(text: str) -> str:
-    """A text of at most 22 characters, with both ends, which distinguish recordings."""
+    """Shortens a text to 22 characters; keeps both ends, which distinguish recordings."""
     return text if len(text) <= 22 else f"{text[:10]}…{text[-11:]}"

@@ -1,5 +1,5 @@
-"""Measures the quality of a cell in a worker, and latency without other work, with alternating
-methods.
+"""Measures the quality of cells in workers, and latency with alternating methods on an otherwise
+idle program.
 
 While other workers run, latency shows how busy the machine is, not how fast a method is. Therefore
 latencies are measured in a separate phase, in one process. Methods alternate in short blocks, each
@@ -85,7 +85,7 @@ PER_FINGER: Final = (
 
 
 def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
-    """Metrics of each finger.
+    """Computes the metrics of each finger.
 
     Args:
         metrics: result of ``evaluate``.
@@ -130,8 +130,8 @@ class Latency:
         samples_ms: (N,) time of each counted frame, landmarks to command [ms].
         first_ms: time of the first frame of a fresh, compiled retargeter [ms]; not counted.
         warm_up: frames between the first and the counted ones.
-        load: load average of the machine over the minute before the end; it includes earlier load.
-            None if the system does not report it.
+        load: load average of the machine at the end, over one minute, which may include load from
+            before the measurement. None if the system does not report it.
         others: fraction of the machine's cores that other processes used in the meantime; None if
             the system does not report it.
         reason: reason why there are no samples; None if there are samples.
@@ -166,7 +166,7 @@ class Latency:
 def measure_latency(
     cells: Sequence[Cell], frames: int, seed: int, advance: Callable[[Cell], None]
 ) -> list[Latency]:
-    """Latency of methods on one recording and one hand, in this process.
+    """Measures the latency of methods on one recording and one hand, in this process.
 
     Args:
         cells: cells of one recording and one hand.
@@ -175,7 +175,7 @@ def measure_latency(
         advance: called as each cell is done.
 
     Returns:
-        The latency of each cell, in their order; of a failed method, the reason.
+        The latency of each cell, in their order; for a failed method, the reason.
     """
     runs = [_Run(cell, frames, seed) for cell in cells]
     watch = Watch()  # starts after the methods are built
@@ -191,7 +191,7 @@ def measure_latency(
 
 
 class _Run:
-    """A method with its position in a recording."""
+    """A method that is being measured, with its position in the recording."""
 
     def __init__(self, cell: Cell, frames: int, seed: int) -> None:
         assert cell.source.recording is not None  # a cell without frames has no latency
@@ -260,7 +260,7 @@ class Watch:
 
     @staticmethod
     def load() -> float | None:
-        """Load average over the last minute; None on a system without one, such as Windows."""
+        """Load average over the last minute; None on a system that has none, such as Windows."""
         try:
             return os.getloadavg()[0]
         except (AttributeError, OSError):

@@ -77,7 +77,7 @@ NUMBERS: Final[tuple[Metric, ...]] = tuple(
 
 
 def columns() -> tuple[Metric, ...]:
-    """``COLUMNS``, and the metrics of plugins that have a heading for one."""
+    """``COLUMNS``, and the metrics of plugins that define a column heading."""
     return (*COLUMNS, *(metric for metric in plugin_metrics() if metric.short))
 
 
@@ -244,7 +244,8 @@ def best(lines: Sequence[Line], metric: Metric) -> set[int]:
 
 
 def merit(metric: Metric, value: float) -> float:
-    """Merit of a value: more is better; at most 0 for a metric whose best value is 1."""
+    """Merit of a value, for which larger is better; at most 0 for a metric whose best value is
+    1."""
     if metric.goal == "->1":
         return -abs(value - 1.0)
     return -value if metric.goal == "down" else value
@@ -308,7 +309,7 @@ _LATENCY: Final = _BY_NAME["latency_ms.p50"]
 
 @dataclass(frozen=True)
 class Use:
-    """The method for one use.
+    """The recommended methods for one use.
 
     Attributes:
         name: the use.
@@ -347,7 +348,8 @@ def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
 
 
 def find_uses(lines: Sequence[Line]) -> list[Use]:
-    """The method for each use, by ``RULES``; empty if fewer than two methods are ranked."""
+    """Finds the best method for each use by ``RULES``; empty if fewer than two methods are
+    ranked."""
     running = _competing(lines)
     if len(running) < 2:
         return []
@@ -398,7 +400,7 @@ def _use(
     shown: Sequence[Metric],
     why_none: str,
 ) -> Use:
-    """The best of ``lines``. If one of ``every`` has a better value, it is also named."""
+    """Chooses the best of ``lines``. If one of ``every`` has a better value, it is also named."""
     measured = [line for line in lines if line.values.get(by.name) is not None]
     if not measured:
         return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
@@ -448,15 +450,15 @@ def _at_least(line: Line, metric: Metric, bound: float) -> bool:
 Verdict: TypeAlias = Literal["better", "worse", "same"]
 
 NOISE: Final = 0.005
-"""Relative difference below which values count as equal. For metrics with the goal one, it is
-relative to the distance from one. Different rounding of processors changes less."""
+"""Relative difference below which values count as equal. For metrics whose goal is 1, it is
+relative to the distance from 1. Rounding differences between processors are smaller than this."""
 LATENCY_NOISE: Final = 0.1
-"""Relative difference below which latencies count as equal; repeated runs differ by as much."""
+"""Relative difference below which latencies count as equal; repeated runs differ by this much."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A metric of a cell in both benchmarks.
+    """Comparison of one metric of a cell between two benchmarks.
 
     Attributes:
         metric: the metric.
@@ -478,7 +480,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Compared:
-    """A cell in both benchmarks.
+    """Comparison of one cell between two benchmarks.
 
     Attributes:
         key: name of the cell.
@@ -497,7 +499,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two benchmarks.
+    """Comparison of a benchmark with another one.
 
     Attributes:
         name: name of the other benchmark.
@@ -557,7 +559,7 @@ def _compared(key: tuple[str, ...], row: Row, other: Row) -> Compared:
 
 
 def _notes(row: Row, other: Row) -> Iterable[str]:
-    """Differences that make the figures of two rows less comparable."""
+    """Differences that make the metrics of two rows less comparable."""
 
     def of(which: Row, name: str, inner: str) -> object:
         part = which.get(name)

@@ -1,10 +1,11 @@
-"""Recordings of a benchmark: files, folders and the synthetic operator, including unreadable files.
+"""Reads the recordings of a benchmark: files, folders and the synthetic operator.
 
-A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
-and may have its own settings after an ``@``, separated by commas: a range of frames, a rate, a
-side, an order of landmarks, a tracker; for the built-in operator also the length of its hand and
-its tempo; its tracker is simulated. ``glove.npz@:500``, ``video.npz@30hz,mano,camera``,
-``synthetic:3@left,100:300``, ``synthetic:3@headset``, ``synthetic:3@17.5cm,1.2x``.
+A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator.
+It may have its own settings after an ``@``, separated by commas: a range of frames, a rate, a side,
+an order of landmarks and a tracker. The built-in operator's tracker is simulated, and the length of
+its hand and its tempo can also be set. Examples: ``glove.npz@:500``,
+``video.npz@30hz,mano,camera``, ``synthetic:3@left,100:300``, ``synthetic:3@headset``,
+``synthetic:3@17.5cm,1.2x``.
 """
 
 from __future__ import annotations
@@ -60,14 +61,14 @@ class Request:
     Attributes:
         path: the file; None for the built-in operator.
         seed: seed of the built-in operator.
-        frames: ``A:B``, or None for all.
+        frames: range of frames ``A:B``; None for all.
         rate: frame rate [Hz]; None uses that of the file.
-        side: None uses that of the file.
+        side: side of the hand; None uses that of the file.
         hand_length: hand length of the built-in operator [m]; None keeps the operator's own.
         speed: tempo of the built-in operator; 1 is natural.
-        layout: order of the landmarks in a plain array; None for the project's own.
-        tracker: one of ``TRACKERS``; None derives it from the format; for the built-in operator,
-            None is a perfect tracker.
+        layout: order of the landmarks in a plain array; None for this project's order.
+        tracker: one of ``TRACKERS``. None derives it from the format; for the built-in operator,
+            None means a perfect tracker.
         mediapipe: True for a recording of MediaPipe, whose pinch gaps are known.
     """
 
@@ -84,9 +85,9 @@ class Request:
 
     @property
     def unit(self) -> str:
-        """Unit of independent repetition: the file, or the built-in operator of a seed.
+        """Unit of independent repetition: the file, or the built-in operator with its seed.
 
-        Parts of one file, and one file read in several ways, are one unit.
+        Parts of one file, or one file read in several ways, count as one unit.
         """
         return f"{SYNTHETIC}:{self.seed}" if self.path is None else str(self.path.resolve())
 
@@ -112,7 +113,7 @@ class Source:
     """Result of reading a requested recording; either ``recording`` or ``error`` is None.
 
     Attributes:
-        request: request of the user.
+        request: the user's request.
         name: name in results, unique among the sources of a benchmark.
         recording: the frames.
         error: reason why there are no frames.
@@ -235,10 +236,10 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
     subfolders.
 
     Returns:
-        The sources in the requested order, without duplicates; an unreadable one has a reason.
+        The sources in the requested order, without duplicates; an unreadable source has the reason.
 
     Raises:
-        RecordingError: no recording can be read; the message has the reason of the first.
+        RecordingError: no recording can be read; the message has the reason for the first one.
     """
     unique = dict.fromkeys(one for request in requests for one in _expanded(request))
     sources = [_load(request) for request in unique]
@@ -258,7 +259,8 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
 
 
 def unique_names(named: Sequence[tuple[str, Path | None]]) -> list[str]:
-    """Unique names of files: names that clash are extended by as many folders as necessary."""
+    """Makes the names of files unique: names that clash are extended by as many folders as
+    needed."""
     paths = [None if path is None else path.absolute() for _, path in named]
 
     def at(depth: int, i: int) -> str:
@@ -296,7 +298,7 @@ def _expanded(request: Request) -> list[Request]:
 
 
 def _recordings_in(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """Files that are treated as recordings, and data sets that a reader recognises.
+    """Yields the files that are treated as recordings, and data sets that a reader recognises.
 
     Hidden files and files with commands but no hand are skipped; links are followed once.
     """

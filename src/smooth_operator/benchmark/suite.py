@@ -1,9 +1,9 @@
-"""Running a benchmark: quality of all cells in workers, then latency with nothing else running.
+"""Runs a benchmark: quality of all cells in workers, then latency with nothing else running.
 
-In its folder, ``config.json`` holds the settings; ``cells/SLUG.npz`` and ``.json`` are the commands
-of a cell and its measurements, as ``smooth-operator retarget`` writes them;
-``cells/SLUG.latency.json`` its latency; ``results.json`` and ``report.html`` the results of all.
-Files are written atomically.
+In the folder of a benchmark, ``config.json`` contains the settings; ``cells/SLUG.npz`` and
+``.json`` the commands and measurements of a cell, as ``smooth-operator retarget`` writes them;
+``cells/SLUG.latency.json`` its latency; and ``results.json`` and ``report.html`` the results of all
+cells. Files are written atomically.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class BenchmarkFolder:
         measured: measurements of cells, without latency.
 
     Raises:
-        OutputError: the folder can't be written to, or holds something else.
+        OutputError: the folder can't be written to, or contains something else.
     """
 
     def __init__(self, settings: Settings, note: Note = no_note) -> None:
@@ -146,7 +146,7 @@ class BenchmarkFolder:
         write_json(self.folder / CONFIG, config | self.environment, indent=2)
 
     def job(self, cell: Cell) -> Job[Cell]:
-        """A cell that has not been measured yet; long recordings take the longest."""
+        """Makes the job that measures a cell; its cost is the length of the recording."""
         key = fingerprint(cell, self.settings)
         effort = len(cell.source.recording or ())
         return Job(cell.slug, key, benchmark_code(), cell, cell.label, effort)
@@ -167,7 +167,8 @@ class BenchmarkFolder:
         self._latencies.keep(*self._latency(cell), content)
 
     def load_latency(self, cell: Cell) -> Latency | None:
-        """Stored latency of a cell from this kind of machine; None without one."""
+        """Loads the latency of a cell that was measured on this kind of machine; None if there is
+        none."""
         content = self._latencies.find(*self._latency(cell))
         if content is None:
             return None
@@ -187,7 +188,7 @@ def _digest(commands: CommandTrajectory) -> str:
 
 
 RowKey: TypeAlias = tuple[str, str, str, str, str]
-"""``Cell.key``."""
+"""Type of ``Cell.key``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,10 +343,10 @@ def _measure_latency(
 
 
 Row: TypeAlias = dict[str, Any]
-"""One cell: ``recording``, ``hand``, ``side``, ``method``, ``preset``, ``status``, ``reason``,
-``metrics`` (as ``evaluate`` gives them, the latency measured alone),
+"""Results of one cell: ``recording``, ``hand``, ``side``, ``method``, ``preset``, ``status``,
+``reason``, ``metrics`` (from ``evaluate``, but with the latency measured separately),
 ``fingers``, ``latency``, ``source``, ``seed``, ``definition``, ``fingers_driven`` (as chosen; null
-for all), ``operator`` (the calibration; null for none), ``cell``, ``seconds``, ``versions``,
+for all), ``operator`` (the calibration; null without one), ``cell``, ``seconds``, ``versions``,
 ``hardware``, ``date``."""
 
 KEY: Final = ("recording", "hand", "side", "method", "preset")
@@ -358,7 +359,7 @@ _MOST_BYTES = 100_000_000  # a row for each cell, with a few kB
 
 
 def make_rows(finished: Iterable[Finished], settings: Settings) -> list[Row]:
-    """Rows of the results, in the order of the cells."""
+    """Makes the rows of the results, in the order of the cells."""
     return [_row(one, settings) for one in finished]
 
 
@@ -459,7 +460,7 @@ def read_results(path: Path) -> list[Row]:
     except ValueError as error:
         raise RecordingError(f"{path}: damaged, or not JSON ({error}); {expected}") from None
     if not isinstance(rows, list):
-        raise RecordingError(f"{path}: it holds a {type(rows).__name__}, not a list; {expected}")
+        raise RecordingError(f"{path}: it contains a {type(rows).__name__}, not a list; {expected}")
     for i, row in enumerate(rows):
         missing = [
             name for name in KEY if not (isinstance(row, dict) and isinstance(row.get(name), str))

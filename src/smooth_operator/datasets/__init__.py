@@ -1,4 +1,4 @@
-"""Data sets of human hands into episodes of robot hands: readers, retargeting, filters, writers."""
+"""Converts data sets of human hands to episodes of robot hands: retargets, filters and writes."""
 
 from smooth_operator.lazy_names import public_names
 

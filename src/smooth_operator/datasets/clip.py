@@ -1,4 +1,4 @@
-"""Clips of human hands with the commands of robot hands."""
+"""Clips of human hands together with the commands of robot hands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from smooth_operator.types import CommandTrajectory, Side
 
 @dataclass(frozen=True, eq=False)
 class RobotClip:
-    """A clip and its commands, frame by frame.
+    """A clip of human hands with a command of each robot hand for each frame.
 
     Attributes:
         clip: the human hands and the scene.
@@ -25,15 +25,15 @@ class RobotClip:
         hand_names: side -> name of the robot hand.
         T_world_wrist: side -> (T, 7) pose of the robot hand's wrist in ``clip.world``; NaN where
             unknown.
-        valid: side -> (T,) True where the command answers a hand that was seen.
-        tracks: ``SIDE.NAME`` -> (T,) figures of each frame from ``quality_tracks``; NaN where
-            unknown.
-        figures: name -> quality of the episode, from ``quality_figures``.
-        config: the resolved configuration that made the commands, in JSON types.
-        key: hexadecimal digest of all inputs, settings and code of the result.
+        valid: side -> (T,) True where the command was computed from a hand that was seen.
+        tracks: ``SIDE.NAME`` -> (T,) quality metrics of each frame from ``quality_tracks``; NaN
+            where unknown.
+        figures: name -> quality metric of the episode, from ``quality_figures``.
+        config: the resolved configuration that made the commands, as JSON values.
+        key: hexadecimal digest of all inputs, settings and code that determine the commands.
 
     Raises:
-        RecordingError: the commands have other timestamps than the clip.
+        RecordingError: the timestamps of the commands differ from those of the clip.
     """
 
     clip: Clip
@@ -50,13 +50,13 @@ class RobotClip:
         for side, commands in self.commands.items():
             if not np.array_equal(commands.stamps, self.clip.stamps):
                 raise RecordingError(
-                    f"{self.clip.name}: the {side} hand has {len(commands)} commands that do not "
-                    f"have the stamps of its {len(self.clip)} frames"
+                    f"{self.clip.name}: the {side} hand has {len(commands)} commands whose "
+                    f"timestamps differ from those of its {len(self.clip)} frames"
                 )
 
 
 def robot_part(whole: RobotClip, frames: slice) -> RobotClip:
-    """Some consecutive frames of a clip with commands, without figures.
+    """Cuts a range of frames out of a clip with commands; the part has no quality metrics.
 
     The name and the key of the part contain the range of frames.
     """

@@ -1,4 +1,4 @@
-"""A stateful class for ``map_batches`` of Ray Data: human clips in, episodes out."""
+"""Class for ``map_batches`` of Ray Data that turns batches of human clips into episodes."""
 
 from __future__ import annotations
 
@@ -29,47 +29,47 @@ from smooth_operator.types import Side
 class RetargetClips:
     """Retargets batches of clips; builds and compiles the retargeters once in each actor.
 
-    A row is a clip: either its arrays, in the columns of the format ``parquet`` (``name``,
-    ``stamps``, ``right_landmarks`` and ``left_landmarks``, and what else is known), or a reference:
-    ``path`` and ``layout`` (name of a reader), and ``key`` where a file holds several clips. The
-    result has the columns of the format ``parquet``, so that ``write_parquet`` gives files that
-    the reader of this format takes, and three more:
+    A row is a clip. It contains either the clip's arrays, in the columns of the format ``parquet``
+    (``name``, ``stamps``, ``right_landmarks`` and ``left_landmarks``, and others if known), or a
+    reference: ``path`` and ``layout`` (name of a reader), and ``key`` if the file contains several
+    clips. The result has the columns of the format ``parquet``, so that the reader of this format
+    can read the files of ``write_parquet``, and three more:
 
-    - ``clip``: name of the clip that the episode is of; a clip may be cut into several.
+    - ``clip``: name of the clip from which the episode was made; a clip may be cut into several.
     - ``kept``: whether the episode is within the limits of quality.
-    - ``reason``: why it is not, or why the clip failed.
+    - ``reason``: why it was not kept, or why the clip failed.
 
-    An episode that is not kept has null arrays. An exception of one clip is its ``reason``, and
-    touches no other.
+    An episode that is not kept has null arrays. If a clip raises an exception, it becomes the
+    clip's ``reason`` and does not affect other clips.
 
-    Example::
+        Example::
 
-        import ray
-        from smooth_operator.datasets.map_batches import RetargetClips
+            import ray
+            from smooth_operator.datasets.map_batches import RetargetClips
 
-        episodes = (
-            ray.data.read_parquet("clips/")
-            .map_batches(
-                RetargetClips,
-                fn_constructor_kwargs={"hand": "leap_hand", "method": "smooth"},
-                batch_format="pyarrow",
-                batch_size=16,
-                compute=ray.data.ActorPoolStrategy(min_size=2, max_size=64),
-                num_cpus=1,
+            episodes = (
+                ray.data.read_parquet("clips/")
+                .map_batches(
+                    RetargetClips,
+                    fn_constructor_kwargs={"hand": "leap_hand", "method": "smooth"},
+                    batch_format="pyarrow",
+                    batch_size=16,
+                    compute=ray.data.ActorPoolStrategy(min_size=2, max_size=64),
+                    num_cpus=1,
+                )
+                .filter(expr="kept")
             )
-            .filter(expr="kept")
-        )
-        episodes.write_parquet("episodes/")
+            episodes.write_parquet("episodes/")
 
-    Args:
-        limits: limits of quality, as arguments of ``Limits``; None keeps every clip whole.
-        reading: options of the readers of references.
-        frame: ``world`` or ``camera``, where wrists are given; None for each clip's own frame.
-        side: retarget this hand only.
-        request: hand, method, preset and so on, as arguments of ``planning.make_request``.
+        Args:
+            limits: limits of quality, as arguments of ``Limits``; None keeps every clip whole.
+            reading: options of the readers of references.
+            frame: frame of the wrists, ``world`` or ``camera``; None for each clip's own frame.
+            side: retarget this hand only.
+            request: hand, method, preset and so on, as arguments of ``planning.make_request``.
 
-    Raises:
-        SmoothOperatorError: there is no such hand, method or preset; a limit is none.
+        Raises:
+            SmoothOperatorError: there is no such hand, method or preset, or a limit is not valid.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class RetargetClips:
             start_threads()
 
     def __call__(self, batch: Any) -> Any:
-        """The episodes of some clips.
+        """Retargets some clips and returns their episodes.
 
         Args:
             batch: an Arrow table (``batch_format="pyarrow"``).
@@ -152,14 +152,14 @@ class RetargetClips:
 
 
 def _judged(episode: RobotClip | Dropped) -> RobotClip | str:
-    """An episode, or why it is not kept."""
+    """Returns an episode, or the reason why it is not kept."""
     if isinstance(episode, RobotClip):
         return episode
     return "; ".join(f"{limit}: {value}" for limit, value in episode.reasons.items())
 
 
 def _content(clip: Clip) -> str:
-    """Digest of the hands of a clip that has no file."""
+    """Digest of a clip's hands, for a clip that has no file."""
     content = hashlib.sha256(clip.stamps.tobytes())
     for side, hand in sorted(clip.hands.items()):
         content.update(side.encode() + hand.landmarks.tobytes())

@@ -1,13 +1,13 @@
-"""Data sets of human hands into data sets of robot hands: read, retarget, filter, write.
+"""Makes data sets of robot hands from data sets of human hands: reads, retargets, filters, writes.
 
     from smooth_operator.datasets import DatasetRequest, make_dataset
 
     request = DatasetRequest(sources=("egodex/",), output=Path("out"), hand="leap_hand")
     summary = make_dataset(request)
 
-In the folder of results, ``dataset`` is the data set, ``report.json``, ``report.html`` and
-``episodes.jsonl`` report kept and dropped episodes with reasons, and ``work`` holds the retargeted
-clips, from which a later run continues. Other limits or formats do not retarget clips again.
+In the folder of results, ``dataset`` is the data set. ``report.json``, ``report.html`` and
+``episodes.jsonl`` report kept and dropped episodes with reasons. ``work`` contains the retargeted
+clips, from which a later run continues, so that other limits or formats need no new retargeting.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ from smooth_operator.planning import RetargetRequest, read_configuration
 from smooth_operator.reporter import Reporter
 
 BATCH: Final = 2048
-"""Hands that are retargeted together: two for each lane, so that short and long ones balance."""
+"""Number of hands that are retargeted together: two for each lane, so that short and long clips
+balance."""
 
 _BATCHES: Final = 2  # read and waiting, or retargeted and being written
 _QUERY: Final = ("--query-gpu=utilization.gpu", "--format=csv,noheader,nounits", "-lms", "250")
@@ -62,13 +63,13 @@ _QUERY: Final = ("--query-gpu=utilization.gpu", "--format=csv,noheader,nounits",
 
 @dataclass
 class GpuUse:
-    """The GPU of a run, and its use.
+    """The GPU of a run, and how much it was used.
 
     Attributes:
         name: name of the device.
         frames: number of retargeted frames.
         seconds: time of the run [s].
-        retargeting: time of retargeting and packing [s].
+        retargeting: time spent on retargeting and packing [s].
         busy: share of ``seconds`` in which the GPU ran a kernel; None if it can't be measured.
     """
 
@@ -80,10 +81,10 @@ class GpuUse:
 
     @classmethod
     def of_this_machine(cls) -> GpuUse:
-        """The first GPU that JAX sees.
+        """Returns the first GPU that JAX sees.
 
         Raises:
-            ConfigError: JAX sees none.
+            ConfigError: JAX sees no GPU.
         """
         import jax
 
@@ -97,12 +98,13 @@ class GpuUse:
         return cls(device.device_kind)
 
     def sentence(self) -> str:
-        """Frames a second and the share of time in which the GPU was busy."""
+        """Describes the frames per second and the share of time in which the GPU was busy."""
         busy = "" if self.busy is None else f"; the GPU was busy {self.busy:.0%} of the time"
         return (
             f"{self.name}: {self.frames} frames in {self.seconds:.1f} s "
-            f"({self.frames / max(self.seconds, 1e-9):,.0f} a second), "
-            f"{self.retargeting / max(self.seconds, 1e-9):.0%} of it retargeting and packing{busy}"
+            f"({self.frames / max(self.seconds, 1e-9):,.0f} per second), "
+            f"{self.retargeting / max(self.seconds, 1e-9):.0%} of the time for retargeting and "
+            f"packing{busy}"
         )
 
     @contextlib.contextmanager
@@ -139,9 +141,10 @@ def gpu_samples() -> Iterator[list[float]]:
 
 @contextlib.contextmanager
 def only_cpus_in_children() -> Iterator[None]:
-    """Processes that start inside the block use the CPU, even if JAX finds a GPU.
+    """Makes processes that start inside the block use the CPU, even if JAX finds a GPU.
 
-    JAX reads the variable at its import, so a process that uses a GPU must import it before.
+    JAX reads the environment variable when it is imported, so a process that uses a GPU itself must
+    import JAX before.
     """
     before = os.environ.get("JAX_PLATFORMS")
     os.environ["JAX_PLATFORMS"] = "cpu"
@@ -157,13 +160,15 @@ def only_cpus_in_children() -> Iterator[None]:
 def entries_of_gpu(
     jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], use: GpuUse, **options: Any
 ) -> Generator[Results]:
-    """Results of jobs: workers read the clips, this process retargets ``BATCH`` hands together.
+    """Yields the results of jobs: workers read clips, this process retargets ``BATCH`` hands at
+    once.
 
-    While a batch is retargeted and packed by a thread, the next is read. One process uses one GPU;
-    several GPUs are several runs, each with its ``CUDA_VISIBLE_DEVICES`` and its ``--shard``.
+    While a thread retargets and packs a batch, the next batch is read. One process uses one GPU; to
+    use several GPUs, start several runs, each with its ``CUDA_VISIBLE_DEVICES`` and its
+    ``--shard``.
 
     Args:
-        split: parts of a job whose worker died.
+        split: splits a job whose worker died into parts.
         options: options of ``run_tasks``.
 
     Raises:
@@ -218,23 +223,23 @@ def make_dataset(
     resolved: RetargetRequest | None = None,
     again: bool = False,
 ) -> Summary:
-    """Makes a data set, or a shard of one. Continues where a run was stopped.
+    """Makes a data set, or a shard of one. Continues where an earlier run was stopped.
 
     The result depends only on the sources and the request, not on the number of workers or on
-    interruptions. A clip that can't be read or retargeted is reported; the others go on.
+    interruptions. A clip that can't be read or retargeted is reported and does not stop the others.
 
     Args:
         request: sources, robot hand, limits, format and output.
         reporter: shows the progress.
         resolved: request that replaces hand, method, settings and frames of ``request``, for
-            example with the description of a hand.
-        again: True to retarget finished clips, too.
+            example to use a hand description.
+        again: True to also retarget clips that are already finished.
 
     Returns:
-        counts and reasons of kept, dropped and failed clips, as in ``report.json``.
+        numbers of kept, dropped and failed clips, with reasons, as in ``report.json``.
 
     Raises:
-        SmoothOperatorError: hand, method, a source or the folder can't be used.
+        SmoothOperatorError: the hand, the method, a source or the folder can't be used.
     """
     reporter = Reporter() if reporter is None else reporter
     shard = _checked_share(request)
@@ -255,7 +260,7 @@ def make_dataset(
         ]
         raise RecordingError(
             f"nothing to retarget in {', '.join(request.sources)}"
-            + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
+            + (f": no reader recognises its files ({kinds})" if kinds else ": it is empty")
             + "".join(ways[:3])
         )
     if not survey.items:
@@ -265,8 +270,8 @@ def make_dataset(
     on_gpu = recipe.device == "gpu" and not request.merge
     if on_gpu and request.cluster is not None:
         raise ConfigError(
-            "a GPU retargets on this machine and not on a cluster; for several GPUs start one run "
-            "a GPU with --shard I/N, and --merge at the end"
+            "a GPU can be used on this machine, but not on a cluster; for several GPUs start one "
+            "run per GPU with --shard I/N, and run --merge at the end"
         )
     gpu = GpuUse.of_this_machine() if on_gpu else None
     work = request.packs / name
@@ -287,7 +292,7 @@ def make_dataset(
             items = [item for item in items if item.name not in reasons]
         finished = {} if again else _finished(Store(work), items, recipe)
         left = [item for item in items if item.name not in finished]
-        line = f"{len(left)} to retarget, {len(finished)} done already"
+        line = f"{len(left)} to retarget, {len(finished)} already done"
         if survey.passed_over:
             kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
             line += f"; skipped (unknown format): {kinds}"
@@ -296,11 +301,11 @@ def make_dataset(
         if request.mirror and there:
             reporter.note(
                 f"making {counted(len(there), 'result')} again: the settings, the recording, the "
-                "robot hand or the code has changed",
+                "robot hand or the code changed",
                 matters=True,
             )
         if request.merge:
-            missing = "no run has finished it yet; leave out --merge to retarget it now"
+            missing = "no run has finished it yet; run without --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
         else:
             with (
@@ -342,16 +347,16 @@ def make_dataset(
 
 
 def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
-    """The shard of a request, after a check of its other settings.
+    """Checks the settings of a request, and returns its shard.
 
     Raises:
         ConfigError: settings are not valid, or contradict each other.
         MissingExtraError: the format needs an extra.
     """
     if not request.sources:
-        raise ConfigError("name at least one SOURCE: a folder, a file, a pattern, a list")
+        raise ConfigError("name at least one SOURCE: a folder, a file, a pattern or a list")
     if request.shard is not None and request.merge:
-        raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
+        raise ConfigError("--shard retargets a share, but --merge only writes; give one of them")
     if request.workers is not None and request.workers < 0:
         raise ConfigError(f"workers must be 0 or more, not {request.workers}")
     WRITERS.load(request.format)  # before anything compiles
@@ -359,10 +364,10 @@ def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
 
 
 def check_output(request: DatasetRequest, hand: str) -> None:
-    """Refuses a folder of results that is a source or a file, or has the data set of another hand.
+    """Checks that results can be written to a folder.
 
     Raises:
-        OutputError: with the folder.
+        OutputError: the folder is a source or a file, or contains the data set of another hand.
     """
     if request.output.exists() and not request.output.is_dir():
         raise OutputError(f"can't write into {str(request.output)!r}: it is a file; name a folder")
@@ -371,20 +376,20 @@ def check_output(request: DatasetRequest, hand: str) -> None:
         path = Path(source).expanduser().resolve()
         if path.is_dir() and (path == real or (request.mirror and path.is_relative_to(real))):
             raise OutputError(
-                f"can't write into {str(request.output)!r}: the recordings are there; give a "
-                "separate folder to the results"
+                f"can't write into {str(request.output)!r}: it contains the recordings; choose a "
+                "separate folder for the results"
             )
     report = request.output / REPORT
     if report.exists() and read_configuration(report) is None:
         raise OutputError(
-            f"can't write {str(report)!r}, the report of the run: it holds something else; give "
-            "another folder, or remove it first"
+            f"can't write {str(report)!r}, the report of the run: it contains something else; "
+            "choose another folder or remove it first"
         )
     earlier = hand_in(request.output)
     if earlier not in (None, hand):
         raise OutputError(
-            f"can't write into {str(request.output)!r}: it has the data set of {earlier}; give "
-            f"another folder for {hand}, or remove it first"
+            f"can't write into {str(request.output)!r}: it contains the data set of {earlier}; "
+            f"choose another folder for {hand} or remove it first"
         )
 
 
@@ -410,7 +415,7 @@ def _retargeted(
     reporter: Reporter,
     gpu: GpuUse | None,
 ) -> Generator[Results]:
-    """Results of all items. Those of a worker that died are tried once more, each alone."""
+    """Yields the results of all items. Items whose worker died are tried once more, each alone."""
 
     def split(job: Job) -> list[Job]:
         return [replace(job, items=(item,)) for item in job.items]
@@ -437,7 +442,7 @@ def _packs(
     gpu: GpuUse | None,
     **options: Any,
 ) -> Generator[Results]:
-    """Results of each pack, by workers, or by a GPU from the clips that workers read."""
+    """Yields the results of each pack; either workers or a GPU retarget the clips."""
     if gpu is not None:
         yield from entries_of_gpu(jobs, split, gpu, **options)
         return
@@ -455,7 +460,7 @@ def _lost(job: Job, error: str | None) -> Results:
 def _jobs(
     items: Sequence[Item], folder: Path, recipe: Recipe, workers: int | None
 ) -> Iterator[Job]:
-    """Jobs of items with neighbouring names, small enough to keep all workers busy."""
+    """Groups items with neighbouring names into jobs, small enough to keep all workers busy."""
     workers = workers or usable_cores()
     share = -(-len(items) // max(workers, 1))
     count = max(min(_FEW_ITEMS, share), min(_MOST_ITEMS, len(items) // (workers * _SHARE)), 1)

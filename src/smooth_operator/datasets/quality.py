@@ -1,4 +1,4 @@
-"""Quality figures of episodes, and the selection of episodes by limits."""
+"""Quality metrics of episodes, and the selection of episodes by limits."""
 
 from __future__ import annotations
 
@@ -25,23 +25,26 @@ from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 REACHED: Final = 0.25
-"""Largest distance at which a robot fingertip reaches the human's, as a share of the hand's length.
+"""Largest distance at which a robot fingertip counts as reaching the human's, as a share of the
+robot hand's length.
 
-It is measured to the human fingertip, or to the tip of a finger with the human's posture and the
-robot's length: an open robot hand whose fingers are twice as long is right, too."""
+The distance is measured to the human fingertip or, if it is closer, to the tip of a finger with
+the human's posture and the robot's lengths. An open robot hand with fingers twice as long is
+therefore correct too."""
 
 COLLISION_RATE_HZ: Final = 5.0
-"""Rate at which self-collision is measured [Hz]; a measurement costs a tenth of a command."""
+"""Rate at which self-collision is measured [Hz]; one measurement takes a tenth of the time of a
+command."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of quality.
+    """A quality metric.
 
     Attributes:
-        name: name of the figure; an episode has ``SIDE.NAME``, such as ``right.reach``.
-        unit: "" for a plain number.
-        better: better direction.
+        name: name of the metric; an episode has ``SIDE.NAME``, such as ``right.reach``.
+        unit: its unit; "" for a plain number.
+        better: direction that is better, ``up`` or ``down``.
         meaning: description in one line.
     """
 
@@ -52,27 +55,31 @@ class Figure:
 
 
 FIGURES: Final = (
-    Figure("confidence", "", "up", "the tracker's own confidence, mean"),
+    Figure("confidence", "", "up", "mean confidence reported by the tracker"),
     Figure("valid", "", "up", "share of frames with a valid command from a visible hand"),
     Figure("gap_s", "s", "down", "longest time without a valid command"),
     Figure("wrist", "", "up", "share of frames with a known pose of the wrist"),
-    Figure("jump_m_s", "m/s", "down", "largest speed of the human wrist or of a fingertip to it"),
-    Figure("finger_motion_mm", "mm", "up", "range of the human fingertips' distances in the clip"),
-    Figure("tip_error_mm", "mm", "down", "robot fingertips to the aligned human ones, mean"),
-    Figure("tip_error_p95_mm", "mm", "down", "the same for the worst finger, 95th percentile"),
+    Figure(
+        "jump_m_s", "m/s", "down", "largest speed of the human wrist, or of a tip relative to it"
+    ),
+    Figure("finger_motion_mm", "mm", "up", "range of the human fingertips' motion in the clip"),
+    Figure("tip_error_mm", "mm", "down", "mean distance of robot and aligned human fingertips"),
+    Figure("tip_error_p95_mm", "mm", "down", "95th percentile of that of the worst finger"),
     Figure("reach", "", "up", "share of frames in which every robot fingertip is near its target"),
     Figure("collision", "", "down", "share of frames in which links overlap by over 2 mm"),
     Figure("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
     Figure("joint_step_rad", "rad", "down", "largest step of a joint between two frames"),
-    Figure("jerk_rad_s3", "rad/s³", "down", "jerk of the joints, mean"),
-    Figure("tracking_loss", "", "down", "the method's own objective, mean"),
-    Figure("contact_precision", "", "up", "share of the robot's contacts that the human has, too"),
-    Figure("contact_recall", "", "up", "share of the human's contacts that the robot has"),
-    Figure("contact_error_mm", "mm", "down", "robot fingertip to object in the human's contacts"),
-    Figure("object_depth_mm", "mm", "down", "deepest point of the robot hand in an object"),
+    Figure("jerk_rad_s3", "rad/s³", "down", "mean jerk of the joints"),
+    Figure("tracking_loss", "", "down", "mean of the method's own objective"),
+    Figure("contact_precision", "", "up", "share of the robot's contacts that the human also has"),
+    Figure("contact_recall", "", "up", "share of the human's contacts that the robot also has"),
+    Figure(
+        "contact_error_mm", "mm", "down", "robot fingertip to object where the human has contact"
+    ),
+    Figure("object_depth_mm", "mm", "down", "depth of the robot hand's deepest point in an object"),
 )
-"""Figures of each hand. ``frames``, ``seconds`` and ``rate_hz`` are those of the episode. The last
-four exist only for clips that were retargeted with their objects."""
+"""All quality metrics. ``frames``, ``seconds`` and ``rate_hz`` belong to the episode, the others to
+each hand. The last four exist only for clips that were retargeted with their objects."""
 
 
 Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
@@ -85,7 +92,7 @@ def quality_tracks(
     hand: Hand,
     alignment: AlignmentConfig,
 ) -> list[Tracks]:
-    """Figures of each frame of recordings of one hand; NaN where unknown.
+    """Computes quality metrics for each frame of recordings of one hand; NaN where unknown.
 
     The recordings are measured together, which is faster.
 
@@ -93,8 +100,9 @@ def quality_tracks(
         alignment: the method's alignment, so that the human hand is measured as the method saw it.
 
     Returns:
-        for each: ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the
-        wrist, the faster; ``tip_error`` [m] mean over fingertips; ``tip_error_max`` [m];
+        for each recording: ``speed`` [m/s] since the previous frame, that of the wrist or of a
+        fingertip relative to it, whichever is faster; ``tip_error`` [m], mean over fingertips;
+        ``tip_error_max`` [m];
         ``reached``, 1 where every fingertip reaches the human's (``REACHED``), or else 0;
         ``penetration`` [m], at ``COLLISION_RATE_HZ``; ``loss``.
     """
@@ -140,7 +148,7 @@ def quality_tracks(
 def _places(
     hand: Hand, human: Float[np.ndarray, "T 21 3"], robot: Float[np.ndarray, "T k 3"]
 ) -> Float[np.ndarray, "T f 3"]:
-    """Tips of fingers with the human's posture and the robot's lengths [m]."""
+    """Fingertips of a hand with the human's posture and the robot's finger lengths [m]."""
     names, numbers = hand.tree.names, [FINGERS.index(name) for name in hand.fingers]
     bases = robot[:, [names.index(LANDMARKS[BASES[finger]]) for finger in numbers]]
     points = human[:, [[BASES[finger] + i for i in range(4)] for finger in numbers]]
@@ -159,14 +167,14 @@ def hand_length(hand: Hand) -> float:
 
 
 def quality_figures(episode: RobotClip) -> dict[str, float]:
-    """Figures of an episode from its tracks, without unknown ones.
+    """Computes the quality metrics of an episode from its tracks; unknown metrics are left out.
 
     Args:
         episode: a clip with commands and tracks, whole or a part of one.
 
     Returns:
-        ``frames``, ``seconds`` (to the end of the last frame), ``rate_hz``; and those of
-        ``FIGURES`` for each hand, as ``right.valid``.
+        ``frames``, ``seconds`` (to the end of the last frame), ``rate_hz``; and the other metrics
+        of ``FIGURES`` for each hand, such as ``right.valid``.
     """
     stamps = episode.clip.stamps
     steps = np.diff(stamps)
@@ -183,7 +191,7 @@ def quality_figures(episode: RobotClip) -> dict[str, float]:
 
 
 def worst(figures: Mapping[str, float], name: str) -> float | None:
-    """A figure of the worse hand; None if it is unknown for both."""
+    """Value of a metric for the worse hand; None if it is unknown for both."""
     better = next(figure.better for figure in FIGURES if figure.name == name)
     values = [value for key, value in figures.items() if key.partition(".")[2] == name]
     if not values:
@@ -221,7 +229,7 @@ def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float |
 
 
 def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
-    """Figures of contacts; empty for an episode without tracks of contacts."""
+    """Contact metrics of a hand; empty for an episode without contact tracks."""
     if f"{side}.object_depth" not in episode.tracks:
         return {}
     names = ("shared_contacts", "robot_contacts", "human_contacts")
@@ -246,7 +254,7 @@ def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:
 
 
 def _speed(recording: HandRecording, reaches: np.ndarray) -> Float[np.ndarray, " T"]:
-    """Speed of the wrist, or of a fingertip to the wrist, if it is faster [m/s]."""
+    """Speed of the wrist, or of a fingertip relative to the wrist if that is faster [m/s]."""
     moved = np.linalg.norm(np.diff(reaches, axis=0), axis=-1)  # (T - 1, F), NaN if one is missing
     if recording.T_world_wrist is not None:
         wrist = np.linalg.norm(np.diff(recording.T_world_wrist[:, :3], axis=0), axis=-1)
@@ -283,9 +291,9 @@ class Dropped:
     """A dropped part of a clip.
 
     Attributes:
-        name: name of the episode that it would be.
-        frames: first frame in the clip, and the one after the last.
-        reasons: name of a limit -> description of the value that breaks it.
+        name: name that the episode would have had.
+        frames: first frame in the clip, and the frame after the last.
+        reasons: name of a limit -> description of the value that violates it.
         figures: quality of the episode; empty for frames without a hand.
     """
 
@@ -296,7 +304,8 @@ class Dropped:
 
 
 def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
-    """The episodes of a clip, in the order of time: kept ones with figures, and dropped ones."""
+    """Yields the episodes of a clip in time order: kept ones with quality metrics, and dropped
+    ones."""
     whole = _confident(whole, limits.min_confidence)
     motion = _finger_motions(whole)
     if limits.whole:
@@ -315,7 +324,7 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
 
 
 def _confident(whole: RobotClip, least: float) -> RobotClip:
-    """Marks frames with a low confidence of the tracker as not valid."""
+    """Marks frames in which the tracker's confidence is low as not valid."""
     valid = dict(whole.valid)
     for side, confidence in whole.clip.confidence.items():
         if side in valid:
@@ -324,7 +333,7 @@ def _confident(whole: RobotClip, least: float) -> RobotClip:
 
 
 def _finger_motions(whole: RobotClip) -> dict[str, float]:
-    """Motion of the fingers over the whole clip, because a hand may be still in a part of it."""
+    """Finger motion over the whole clip, because a hand may be still in a part of it."""
     motions = {side: finger_motion(whole.clip.hands[side]) for side in whole.commands}
     return {
         f"{side}.finger_motion_mm": 1e3 * value
@@ -350,7 +359,7 @@ def _jumps(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
 def _parts(
     good: Bool[np.ndarray, " T"], jumped: Bool[np.ndarray, " T"], stamps: np.ndarray, gap: float
 ) -> Iterator[slice]:
-    """Parts that begin and end with a good frame and have no jump or long gap inside."""
+    """Yields the parts that begin and end with a good frame and contain no jump or long gap."""
     frames = np.flatnonzero(good)
     if not len(frames):
         return
@@ -379,7 +388,7 @@ def _judged(
 
 
 def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
-    """Limits that an episode breaks, each with a description of the value."""
+    """Yields the limits that an episode violates, each with a description of the value."""
     seconds = figures["seconds"]
     if seconds < limits.min_seconds:
         yield "min_seconds", f"{seconds:.2f} s long"
@@ -395,9 +404,19 @@ def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, s
     if limits.whole:
         yield from _of_whole(figures, limits)
     checks: tuple[tuple[str, str, float, str], ...] = (
-        ("max_collision", "collision", limits.max_collision, "links collide in {:.0%} of frames"),
+        (
+            "max_collision",
+            "collision",
+            limits.max_collision,
+            "links collide in {:.0%} of the frames",
+        ),
         ("max_tip_error", "tip_error_mm", limits.max_tip_error, "fingertips are {:.0f} mm off"),
-        ("min_reach", "reach", limits.min_reach, "fingertips reach the human's in {:.0%}"),
+        (
+            "min_reach",
+            "reach",
+            limits.min_reach,
+            "fingertips reach the human's in {:.0%} of the frames",
+        ),
     )
     for name, figure, limit, text in checks:
         value = worst(figures, figure)
@@ -413,6 +432,6 @@ def _of_whole(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, 
     if confidence is not None and confidence < limits.min_confidence:
         yield "min_confidence", f"confidence {confidence:.2f}"
     if jump is not None and jump > limits.max_jump:
-        yield "max_jump", f"a hand jumps with {jump:.1f} m/s"
+        yield "max_jump", f"a hand jumps at {jump:.1f} m/s"
     if gap > limits.max_gap:
-        yield "max_gap", f"no hand for {gap:.1f} s"
+        yield "max_gap", f"no hand is seen for {gap:.1f} s"

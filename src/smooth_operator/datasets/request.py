@@ -1,4 +1,4 @@
-"""The request of a data set: the command parses it, and ``make_dataset`` takes it."""
+"""Settings for making a data set, which the command line parses and ``make_dataset`` takes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.request import MethodRequest
 
 DATASET: Final = "dataset"
-"""Folder of the data set, in the folder of results."""
+"""Name of the data set's folder inside the folder of results."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of an episode's quality. Figures that are not known break no limit.
+    """Limits on an episode's quality. A metric that is unknown does not violate its limit.
 
     Raises:
         ConfigError: a limit is outside its range.
@@ -89,7 +89,7 @@ NO_LIMITS: Final = Limits(
     min_reach=0.0,
     min_finger_motion=0.0,
 )
-"""Keeps every clip whole."""
+"""Limits that keep every clip whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +178,8 @@ class DatasetRequest(Limits, MethodRequest):
 
     @property
     def mirror(self) -> bool:
-        """True if the results are in ``output`` itself, at the paths of their recordings."""
+        """True if the results are written to ``output`` itself, at the paths of their
+        recordings."""
         return False
 
     @property
@@ -188,13 +189,14 @@ class DatasetRequest(Limits, MethodRequest):
 
     @property
     def packs(self) -> Path:
-        """Folder with the retargeted clips; hidden where results stand beside it."""
+        """Folder with the retargeted clips; a hidden folder if the results are next to it."""
         return self.output / (".work" if self.mirror else "work")
 
 
 @dataclass(frozen=True, kw_only=True)
 class MirrorRequest(DatasetRequest):
-    """Recordings of folders, each retargeted to files of commands at its path in its folder."""
+    """Settings for retargeting a folder of recordings to command files at the same relative
+    paths."""
 
     layout: str | None = "files"
     format: str = "npz"
@@ -202,5 +204,5 @@ class MirrorRequest(DatasetRequest):
 
     @property
     def mirror(self) -> bool:
-        """Results stand in ``output`` itself."""
+        """True: the results are written to ``output`` itself."""
         return True

@@ -1,4 +1,4 @@
-"""Clips of human hands into clips with the commands of robot hands."""
+"""Retargets clips of human hands, and returns them with the commands of robot hands."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 from smooth_operator.version import package_version
 
 _OBJECT_AWARE: Final = Entry("smooth_hand_datasets.objects.retargeter:object_aware")
-"""Function of clip, side and plan that retargets one hand of a clip with its objects.
+"""Function that retargets one hand of a clip with its objects, given clip, side and plan.
 
 Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (T,)) and
 ``T_world_wrist`` (T, 7).
@@ -46,14 +46,15 @@ Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (
 _CODE: Final = tuple(
     f"datasets/{name}" for name in ("clip.py", "quality.py", "retargeting.py", "store.py")
 )
-"""Files and folders of this package that a retargeted clip depends on, beside those of commands."""
+"""Files and folders of this package that a retargeted clip depends on, in addition to the code that
+computes commands."""
 
 
 def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
-    """A configuration as one of whole recordings.
+    """Checks that a configuration solves whole recordings, and returns it as such.
 
     Raises:
-        ConfigError: it answers frame by frame.
+        ConfigError: it solves frame by frame.
     """
     if not isinstance(config, TrajectoryMethodConfig):
         raise ConfigError("objects need a preset for whole recordings, such as smooth:offline")
@@ -68,7 +69,7 @@ class SourceFile:
         path: its path in the source, with slashes; or its address.
         bytes: its size.
         sha256: digest of its content, in hexadecimal.
-        changed: its date, or the change mark of an object store.
+        changed: time of its last change, or the change mark of an object store.
     """
 
     path: str
@@ -77,7 +78,7 @@ class SourceFile:
     changed: str = ""
 
     def identity(self) -> dict[str, Any]:
-        """Identity of the file in a data set, without its date."""
+        """Identity of the file in a data set, without the time of its last change."""
         return {"path": self.path, "bytes": self.bytes, "sha256": self.sha256}
 
 
@@ -87,17 +88,18 @@ class Recipe:
 
     Attributes:
         request: hand, method, preset, seed, scale, fingers and operator; and side, rate and layout
-            for the readers. With a side, only that hand of a clip is retargeted.
+            for the readers. If a side is given, only that hand of a clip is retargeted.
         frame: frame of wrists and objects; None for each clip's own.
         with_objects: keep the contacts of the human's fingertips with objects, in clips with the
             wrist's pose and an object's mesh; needs ``smooth_hand_datasets``.
         device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
         mano: as in ``ReadingOptions``.
-        objects: as there.
+        objects: as in ``ReadingOptions``.
 
     Raises:
-        ConfigError: ``with_objects`` with a configuration that answers frame by frame, or without
-            ``smooth_hand_datasets``; a GPU with settings that retarget clips one by one.
+        ConfigError: ``with_objects`` is set, but the configuration solves frame by frame or
+            ``smooth_hand_datasets`` is missing; or a GPU is requested for settings that retarget
+            clips one by one.
     """
 
     request: RetargetRequest
@@ -109,7 +111,7 @@ class Recipe:
 
     @classmethod
     def of(cls, request: DatasetRequest, resolved: RetargetRequest | None = None) -> Recipe:
-        """The recipe of a data set.
+        """Makes the recipe of a data set.
 
         Args:
             resolved: request that replaces hand, method and settings of ``request``.
@@ -131,8 +133,8 @@ class Recipe:
     def __post_init__(self) -> None:
         if self.device == "gpu" and (self.with_objects or self.request.scale == "calibrate"):
             raise ConfigError(
-                "a GPU retargets clips side by side; clips with objects, or with a scale of their "
-                "own, are retargeted one by one: use --device cpu for them"
+                "a GPU retargets many clips together, but clips with objects, or with their own "
+                "scale, are retargeted one by one: use --device cpu for them"
             )
         if self.with_objects:
             if find_spec("smooth_hand_datasets") is None:
@@ -141,7 +143,7 @@ class Recipe:
 
     @functools.cached_property
     def digest(self) -> str:
-        """Digest of it, with the code and both robot hands; see ``code_of_commands``."""
+        """Digest of the recipe, the code and both robot hands; see ``code_of_commands``."""
         mano = self.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         code = code_of_commands(self.request, *_CODE)
@@ -157,7 +159,7 @@ class Recipe:
         return default_side(self.request.hand)
 
     def reading(self, side: Side | None = None, rate: float | None = None) -> ReadingOptions:
-        """Options of the readers for an item, whose list may state side and rate."""
+        """Options of the readers for an item; its list may state side and rate."""
         own = self.request
         return ReadingOptions(
             rate or own.rate, side or own.side, self.mano, self.objects, own.layout, self._assumed
@@ -170,16 +172,16 @@ def retarget_clips(
     files: Sequence[Sequence[SourceFile]] | None = None,
     keys: Sequence[str] | None = None,
 ) -> list[RobotClip | SmoothOperatorError]:
-    """Clips with the commands of their robot hands, in the order of the clips.
+    """Retargets clips; returns them with the commands of their robot hands, in the same order.
 
-    Retargeters are built once in a process and kept.
+    Retargeters are built once per process and kept.
 
     Args:
         files: source files of each clip, for its ``meta``.
         keys: key of each clip; by default a digest of recipe and name.
 
     Returns:
-        for each clip its result, or the error.
+        for each clip, its result or the error.
     """
     todo = [_prepared(clip, recipe) for clip in clips]
     works = [
@@ -215,7 +217,7 @@ def clip_key(
     files: Sequence[SourceFile],
     rate: float | None,
 ) -> str:
-    """Key of a clip: digest of its files, reader, hand, method, settings and code.
+    """Computes the key of a clip: digest of its files, reader, hand, method, settings and code.
 
     Args:
         part: name of the clip in its file.
@@ -254,7 +256,7 @@ def _has_frames(hand: HandRecording) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """One hand of one clip. ``scene`` is the clip if its objects are used, else None."""
+    """One hand of a clip to retarget. ``scene`` is the clip if its objects are used, else None."""
 
     clip: int
     side: Side
@@ -270,7 +272,7 @@ class _Answer:
 
 
 def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
-    """True if a hand is to be retargeted with the clip's objects."""
+    """True if a hand should be retargeted with the clip's objects."""
     return (
         recipe.with_objects
         and clip.hands[side].T_world_wrist is not None
@@ -279,7 +281,8 @@ def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
 
 
 def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
-    """Groups that are retargeted together: scenes and recordings with an own scale are alone."""
+    """Yields groups to retarget together; scenes, and recordings with their own scale, are
+    alone."""
     one_by_one = recipe.request.scale == "calibrate"
     yield from ([work] for work in works if one_by_one or work.scene is not None)
     for side in SIDES:
@@ -289,7 +292,7 @@ def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
 
 
 def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOperatorError]:
-    """The commands of a group. If the group fails, each clip is retargeted alone."""
+    """Computes the commands of a group. If the group fails, each clip is retargeted alone."""
     if group[0].scene is not None:
         return [_with_objects(each, each.scene) for each in group if each.scene is not None]
     keep = recipe.request.scale != "calibrate"  # each scale is a program of its own
@@ -368,6 +371,7 @@ def _result(
 
 @functools.lru_cache(maxsize=64)
 def shared_config(text: str) -> dict[str, Any]:
-    """A configuration from its JSON; the same object for the same text, as most clips share one."""
+    """Parses a configuration from JSON. Equal texts give the same object, as most clips share
+    one."""
     config: dict[str, Any] = json.loads(text)
     return config

@@ -1,4 +1,4 @@
-"""Sources of a data set: folders, files, patterns, lists of files, object storage."""
+"""Finds the clips in the sources of a data set: folders, files, patterns, lists, object storage."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ from smooth_operator.types import Side, as_side
 EXTRA: Final = "datasets"
 _DATES: Final = ("ETag", "etag", "md5Hash", "content_md5", "LastModified", "last_modified")
 _MORE_DATES: Final = ("updated", "mtime", "created")
-"""Names that object storages use for the change mark of a file."""
+"""Names of fields that object storages use for the time at which a file changed."""
 
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file of object storage.
+    """A file in object storage.
 
     Attributes:
-        name: path below the requested address.
+        name: path relative to the requested address.
         address: its address.
         bytes: its size.
-        changed: mark that changes with each write; empty if the storage has none.
+        changed: mark that changes with each write; empty if the storage does not have one.
     """
 
     name: str
@@ -75,18 +75,18 @@ def is_address(text: str) -> bool:
 
 
 def local_path(address: str) -> Path | None:
-    """The path of a ``file://`` address; None for others."""
+    """The path of a ``file://`` address; None for other addresses."""
     if not is_address(address) or urlsplit(address).scheme not in ("file", "local"):
         return None
     return Path(unquote(urlsplit(address).path))
 
 
 def list_remote(address: str) -> Iterator[RemoteFile]:
-    """The files at an address: of a folder with subfolders, of a pattern, or a single file.
+    """Lists the files at an address: a folder with its subfolders, a pattern, or a single file.
 
     Raises:
         MissingExtraError: fsspec, or its library for this storage, is not installed.
-        RecordingError: the address can't be listed, or has no files.
+        RecordingError: the address can't be listed, or there are no files.
     """
     system, path = _system(address)
     root = path.rstrip("/")
@@ -99,7 +99,7 @@ def list_remote(address: str) -> Iterator[RemoteFile]:
             listing = system.find(path, detail=True)
         files = {name: info for name, info in listing.items() if info.get("type") == "file"}
     if not files:
-        raise RecordingError(f"{address}: no files are there")
+        raise RecordingError(f"{address}: there are no files")
     for name, info in sorted(files.items()):
         below = name.removeprefix(root).strip("/") or PurePosixPath(name).name
         dates = [info[each] for each in (*_DATES, *_MORE_DATES) if info.get(each)]
@@ -141,17 +141,17 @@ def _system(address: str) -> tuple[Any, str]:
 
 @contextlib.contextmanager
 def _about(address: str) -> Iterator[None]:
-    """Converts errors of a storage, and adds the address."""
+    """Converts errors of a storage to errors that name the address."""
     try:
         yield
     except (RecordingError, MissingExtraError):
         raise
     except FileNotFoundError as error:
-        raise RecordingError(f"{address}: nothing is there") from error
+        raise RecordingError(f"{address}: there is no such file or folder") from error
     except Exception as error:  # of libraries of storages: anything
         reason = " ".join(str(error).split())
         raise RecordingError(
-            f"{address}: can't be read: {type(error).__name__}: {reason}; look at the address, the "
+            f"{address}: can't be read: {type(error).__name__}: {reason}; check the address, the "
             "network and your credentials"
         ) from error
 
@@ -163,17 +163,17 @@ _FIRST: Final = 65_536
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A piece of work: a clip, or a file of object storage with all its clips.
+    """A piece of work: a clip, or a file in object storage with all its clips.
 
     Attributes:
-        name: unique among the items.
+        name: its name, unique among the items.
         ref: the clip; None for a file that must be fetched first.
         address: address of that file.
         mark: size and change mark of that file.
-        layout: name of the reader; None to recognise the file.
-        task: description of the task from a list; None for that of the file.
-        side: side of the hand from a list.
-        rate: frame rate from a list [Hz].
+        layout: name of the reader; None to detect it from the file.
+        task: description of the task, if a list states it; None for the one in the file.
+        side: side of the hand, if a list states it.
+        rate: frame rate, if a list states it [Hz].
         frames: range of frames ``A:B`` of the clip; empty for all.
         root: folder to which the paths of its files are relative; None for absolute paths.
         size: bytes or frames; 0 if unknown.
@@ -193,13 +193,14 @@ class Item:
 
     @property
     def settings_key(self) -> str:
-        """Digest of the settings of the item: those of its list, and its part of the file."""
+        """Digest of the item's settings: those that its list states, and its part of the file."""
         part = "" if self.ref is None else self.ref.key
         return key_digest([self.layout, part, self.task, self.side, self.rate, self.frames])[:16]
 
 
 def is_manifest(path: Path) -> bool:
-    """True for a list: ``.txt``, ``.csv``, or ``.jsonl`` with ``path`` in its first line."""
+    """True if a file is a list of recordings: ``.txt``, ``.csv``, or ``.jsonl`` whose first line
+    has ``path``."""
     suffix = path.suffix.lower()
     if suffix in (".txt", ".csv"):
         return True
@@ -218,10 +219,11 @@ def is_manifest(path: Path) -> bool:
 
 
 def read_manifest(path: Path) -> Iterator[Item]:
-    """The lines of a list, each with its path or address as the name.
+    """Yields the lines of a list as items, each named by its path or address.
 
     Raises:
-        RecordingError: the list can't be read, or a line is not valid; the message has its number.
+        RecordingError: the list can't be read, or a line is not valid; the message has the line's
+            number.
     """
     try:
         text = read_text(path, most_bytes=_MOST_BYTES)
@@ -242,7 +244,7 @@ def read_manifest(path: Path) -> Iterator[Item]:
         try:
             values = parse_json(line)
         except DocumentError as error:
-            raise RecordingError(f"{where}: {error}; expected a JSON object a line") from error
+            raise RecordingError(f"{where}: {error}; expected one JSON object per line") from error
         yield _row(values, where)
 
 
@@ -270,7 +272,7 @@ def _of_csv(text: str, path: Path) -> Iterator[Item]:
 
 
 def _is_of_numbers(text: str) -> bool:
-    """True for a table whose first rows hold more numbers than anything else."""
+    """True for a table whose first rows contain mostly numbers."""
     rows = list(itertools.islice(csv.reader(io.StringIO(text)), 1, 4))
     cells = [cell for row in rows for cell in row if cell.strip()]
     numbers = 0
@@ -283,7 +285,7 @@ def _is_of_numbers(text: str) -> bool:
 
 def _row(values: Any, where: str) -> Item:
     if not isinstance(values, Mapping) or not isinstance(values.get("path"), str):
-        raise RecordingError(f"{where}: expected an object with the text 'path'")
+        raise RecordingError(f"{where}: expected an object with the string 'path'")
     for name in ("task", "layout"):
         if not isinstance(values.get(name, ""), str | None):
             raise RecordingError(f"{where}: {name} must be a string, not {brief(values[name])}")
@@ -292,7 +294,7 @@ def _row(values: Any, where: str) -> Item:
         rate = None if rate is None else float(rate)
     except (TypeError, ValueError):
         raise RecordingError(
-            f"{where}: rate must be a number of frames a second, not {brief(rate)}"
+            f"{where}: rate must be a number of frames per second, not {brief(rate)}"
         ) from None
     try:
         return Item(
@@ -314,7 +316,7 @@ _NO_DATA: Final = frozenset(
         *(".obj", ".ply", ".stl"),
     )
 )
-"""Suffixes of files of object storage that are skipped without fetching them."""
+"""Suffixes of files in object storage that are skipped without fetching them."""
 
 
 @dataclass(frozen=True)
@@ -323,7 +325,7 @@ class Refused:
 
     Attributes:
         name: its name.
-        reason: why.
+        reason: why it can't be used.
     """
 
     name: str
@@ -332,12 +334,12 @@ class Refused:
 
 @dataclass(frozen=True)
 class Survey:
-    """Content of the sources.
+    """Everything that was found in the sources.
 
     Attributes:
-        items: the pieces of work, by name.
+        items: the pieces of work, sorted by name.
         refused: items that can't be read.
-        passed_over: suffix -> number of files in folders that no reader recognises.
+        passed_over: suffix -> number of files in folders that no reader recognised.
     """
 
     items: tuple[Item, ...]
@@ -346,7 +348,7 @@ class Survey:
 
 
 _Each: TypeAlias = Item | Refused | str
-"""Part of a source: work, what can't be used, or the suffix of a file of no known layout."""
+"""Part of a source: an item, a source that can't be used, or the suffix of an unknown file."""
 
 
 def find_items(
@@ -356,8 +358,8 @@ def find_items(
 
     Args:
         sources: paths, patterns, lists, addresses.
-        layout: name of the reader of all sources; None to recognise each file.
-        leave_out: folder to skip: that of the results.
+        layout: name of the reader for all sources; None to detect it for each file.
+        leave_out: folder to skip, namely that of the results.
 
     Raises:
         UnknownNameError: there is no such reader.
@@ -383,12 +385,12 @@ def each_item(
 ) -> Iterator[Item | Refused | str]:
     """Yields the items of the sources one by one, so that a list of any length fits in memory.
 
-    The order is that of the sources, and of names within each. Names may repeat.
+    The order is that of the sources, and sorted by name within each. Names may repeat.
 
     Args:
         sources: as in ``find_items``.
-        layout: as there.
-        leave_out: as there.
+        layout: as in ``find_items``.
+        leave_out: as in ``find_items``.
 
     Yields:
         items; sources that can't be used; and suffixes of files that no reader recognises.
@@ -403,7 +405,7 @@ def each_item(
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
-    """True if an item belongs to shard i of n, counted from 1; depends only on its name."""
+    """True if an item belongs to shard i of n, counted from 1; depends only on the item's name."""
     if shard is None:
         return True
     number = int.from_bytes(hashlib.sha256(item.name.encode()).digest()[:8])
@@ -416,7 +418,7 @@ class _Looking:
         self._seen: set[Path] = set()
 
     def through(self, source: str) -> Iterator[_Each]:
-        """One source."""
+        """Yields the parts of one source."""
         if is_address(source):
             local = local_path(source)
             if local is None:
@@ -431,7 +433,7 @@ class _Looking:
         if not path.exists() and any(sign in source for sign in _WILD):
             paths = [Path(match) for match in sorted(glob.glob(str(path), recursive=True))]
             if not paths:
-                raise RecordingError(f"{source}: nothing has a name of this pattern")
+                raise RecordingError(f"{source}: no file or folder matches this pattern")
             root = _fixed_part(path)
             above = {folder for each in paths for folder in each.parents}
             for each in paths:
@@ -463,7 +465,7 @@ class _Looking:
         yield from self._named(path, root, row)
 
     def _named(self, path: Path, root: Path, row: Item) -> Iterator[_Each]:
-        """Items of a path that the user named, so an unknown file is refused."""
+        """Yields the items of a path that the user named, so an unknown file is refused."""
         layout = row.layout or self._layout
         reader = recognise(path, layout)
         if reader is not None:
@@ -519,7 +521,7 @@ class _Looking:
 def _clips(
     name: str, reader: ClipReader, path: Path, root: Path, row: Item
 ) -> Iterator[Item | Refused]:
-    """The clips of a file or folder; their names contain the folders above it."""
+    """Yields the clips of a file or folder; their names contain the folders above it."""
     folder = path.parent if path != root and path.is_relative_to(root) else root
     above = folder.relative_to(root).as_posix() if folder.is_relative_to(root) else "."
     prefix = "" if above == "." else f"{above}/"
@@ -536,7 +538,7 @@ def _clips(
 
 
 def _unique(items: Iterable[Item]) -> Iterator[Item]:
-    """Items with unique names: the second item of a name gets the suffix ``~2``."""
+    """Makes the names of items unique: the second item with a name gets the suffix ``~2``."""
     counts: dict[str, int] = {}
     for item in items:
         count = counts[item.name] = counts.get(item.name, 0) + 1
@@ -544,12 +546,12 @@ def _unique(items: Iterable[Item]) -> Iterator[Item]:
 
 
 def _lerobot(path: Path) -> str:
-    """Reason to refuse a LeRobot data set as a source."""
+    """Reason why a LeRobot data set can't be a source."""
     foreign = foreign_dataset(path)
     if foreign is not None:
         return f"this is {foreign}"
     return (
-        "this is a LeRobot data set; convert its episodes first, and give their folder: "
+        "this is a LeRobot data set; convert its episodes first, and use their folder: "
         f"smooth-operator convert {path} --to npz --output episodes"
     )
 
@@ -566,7 +568,7 @@ def _unknown(path: Path, layout: str | None) -> str:
         kind = str(error).removeprefix(f"{path}: ")
         if not kind.startswith("not a recording"):
             return kind + (more if "pickle" in kind else "")
-    return f"no reader recognises it; layouts that are read: {', '.join(clip_readers())}{more}"
+    return f"no reader recognises it; known layouts: {', '.join(clip_readers())}{more}"
 
 
 def _name(path: Path, root: Path) -> str:
@@ -591,7 +593,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     """Parses ``i/n``, with i from 1 to n.
 
     Raises:
-        ConfigError: the text has another form.
+        ConfigError: the text does not have this form.
     """
     number, sign, count = text.partition("/")
     if not (sign and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):

@@ -1,4 +1,4 @@
-"""Store of retargeted clips in packs, which the next run finds again.
+"""Stores retargeted clips in packs, so that the next run can reuse them.
 
 A pack is an uncompressed zip file of ``.npy`` arrays and one JSON document, ``index.json``. It is
 written under a temporary name, so a killed run loses only the packs that it was writing.
@@ -34,7 +34,8 @@ _DATE: Final = (1980, 1, 1, 0, 0, 0)
 _DTYPES: Final = dict.fromkeys(
     ("landmarks", "metacarpals", "orientations", "confidence", "tracks", "latency_ms"), np.float32
 ) | {"status": np.int8}
-"""Stored types: float32 keeps a micrometre in these arrays, int8 the status codes."""
+"""Types in which arrays are stored: float32 resolves a micrometre, int8 is enough for status
+codes."""
 _KINDS: Final[dict[str, Any]] = {
     kind.__name__: kind for kind in (RobotClip, Clip, HandRecording, ObjectTrack, CommandTrajectory)
 }
@@ -43,10 +44,10 @@ _LEFT_OUT: Final = {(RobotClip, "config"), (RobotClip, "figures"), (HandRecordin
 
 @dataclass(frozen=True)
 class ReadClip:
-    """A clip as it was read.
+    """A clip that was read, before retargeting.
 
     Attributes:
-        item: item that the clip is part of.
+        item: item to which the clip belongs.
         clip: hands and scene.
         files: source files.
         key: digest of all inputs of its commands.
@@ -62,16 +63,16 @@ class ReadClip:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The retargeted clips of an item: their place in a pack, and facts of them.
+    """The retargeted clips of an item: where they are stored, and facts about them.
 
     Attributes:
-        pack: file.
+        pack: file of the pack.
         position: position of the item in the file.
         key: digest of all inputs of the clips.
         sides: hands that the clips have.
         frames: total number of frames.
-        camera: True if a clip has poses of the camera.
-        objects: largest number of objects of a clip.
+        camera: True if any clip has camera poses.
+        objects: largest number of objects in any clip.
     """
 
     pack: Path
@@ -84,10 +85,11 @@ class Result:
 
 
 Results: TypeAlias = dict[str, Result | str]
-"""Name of item -> its result, or the reason why there is none."""
+"""Name of item -> its result, or the reason why it has no result."""
 
 Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...], float | None], bool]
-"""Function of an item's name, settings key, files and rate: True if its result is still valid."""
+"""Function that returns True if an item's result is still valid, given the item's name, settings
+key, files and rate."""
 
 
 @dataclass(eq=False)
@@ -102,7 +104,8 @@ class Store:
     _open: dict[Path, _Pack] = field(default_factory=dict)
 
     def find(self, accept: Accept) -> dict[str, Result]:
-        """Name of item -> its result. A damaged pack is removed, so its clips are made again."""
+        """Finds valid results: name of item -> result. Removes damaged packs, so their clips are
+        made again."""
         packs: dict[str, Result] = {}
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             try:
@@ -123,7 +126,7 @@ class Store:
         A worker of a killed run may finish its pack while the next run makes the same clips.
 
         Args:
-            finished: name of item -> the result in use.
+            finished: name of item -> the result that is used.
         """
         count = 0
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
@@ -136,7 +139,7 @@ class Store:
         return count
 
     def read(self, stored: Result) -> list[RobotClip]:
-        """The clips of an item.
+        """Reads the clips of an item.
 
         Raises:
             RecordingError: the pack is damaged; it is removed.
@@ -152,8 +155,8 @@ class Store:
             with contextlib.suppress(OSError):
                 stored.pack.unlink()
             raise RecordingError(
-                f"{stored.pack} was damaged ({error}) and is removed; run the same command again "
-                "to make its clips again"
+                f"{stored.pack} was damaged ({error}) and has been removed; run the same command "
+                "again to retarget its clips again"
             ) from error
 
     def close(self) -> None:
@@ -166,10 +169,10 @@ class Store:
 def write_pack(
     folder: Path, items: Sequence[tuple[ReadClip, Sequence[RobotClip]]]
 ) -> dict[str, Result]:
-    """Writes a pack, whole or not at all; its name depends on its content.
+    """Writes a pack atomically; its name depends on its content.
 
     Args:
-        items: a clip of each item, for its files, and all retargeted clips of the item.
+        items: for each item, one clip as read (for its files) and all its retargeted clips.
 
     Returns:
         name of item -> its result.
@@ -250,7 +253,7 @@ class _Pack:
         self._zip.close()
 
     def clips(self, position: int) -> list[RobotClip]:
-        """Clips of one item."""
+        """Reads the clips of one item."""
         item = self.index["items"][position]
         return [self._clip(document) for document in item["clips"]]
 
@@ -265,7 +268,7 @@ class _Pack:
 
 
 def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
-    """True if the videos and meshes of clips still exist."""
+    """True if the videos and meshes of the clips still exist."""
     return all(Path(path).exists() for clip in clips for path in clip["files"])
 
 
@@ -284,7 +287,7 @@ def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -
 
 
 def _facts(whole: RobotClip) -> dict[str, Any]:
-    """Facts in the index, which are available without reading the clip."""
+    """Facts for the index, which can be read without reading the clip."""
     clip = whole.clip
     files = [clip.video, *(each.mesh for each in clip.objects)]
     return {
@@ -298,9 +301,10 @@ def _facts(whole: RobotClip) -> dict[str, Any]:
 
 
 def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
-    """A clip as arrays by name and a document of JSON, without its configuration and figures.
+    """Encodes a clip as named arrays and a JSON document, without configuration and quality
+    metrics.
 
-    In the document, a value that is not plain JSON is a pair of its kind and its content.
+    In the document, a value that JSON does not have is a pair of its kind and its content.
     """
     arrays: dict[str, np.ndarray] = {}
     names: dict[int, str] = {}  # arrays that several parts share are written once
@@ -331,12 +335,12 @@ def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
 
 
 def as_stored(whole: RobotClip) -> RobotClip:
-    """A clip as it is read from a pack: some arrays are rounded to float32 there."""
+    """Returns a clip as it will be read from a pack, where some arrays are rounded to float32."""
     return replace(decoded(*encoded(whole)), config=whole.config)
 
 
 def decoded(arrays: Mapping[str, np.ndarray], document: Any) -> RobotClip:
-    """A clip from the result of ``encoded``, without its configuration and figures."""
+    """Decodes the result of ``encoded``; the clip has no configuration and no quality metrics."""
 
     def value(part: Any) -> Any:
         if not isinstance(part, list):

@@ -1,4 +1,4 @@
-"""Work of a worker: reads clips, retargets them and writes them to a pack."""
+"""Jobs for worker processes, which read clips, retarget them and write them to a pack."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from smooth_operator.result_cache import content_digest
 _MOST_CLIPS = 1_000_000  # of one fetched file
 
 READING_S = 300.0
-"""Time for reading a clip in a worker [s]; a damaged file can hang a library such as libhdf5."""
+"""Time limit for reading a clip in a worker [s], since a damaged file can make a library such as
+libhdf5 hang."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Job:
 def do_job(job: Job) -> Results:
     """Reads, retargets and writes the clips of a job, in a worker.
 
-    An item that can't be read or retargeted has a reason as its result; the others go on.
+    An item that can't be read or retargeted gets the reason as its result and does not stop others.
 
     Raises:
         OutputError: the pack can't be written.
@@ -57,7 +58,7 @@ def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
     """Reads the clips of a job. An item that can't be read does not stop the others.
 
     Returns:
-        the clips, in the order of the items; and name of item -> reason of the failure.
+        the clips, in the order of the items; and name of item -> reason of its failure.
     """
     clips: list[ReadClip] = []
     reasons: dict[str, str] = {}
@@ -72,7 +73,8 @@ def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
 
 
 def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Results:
-    """Retargets the clips of a job and writes those of each item to a pack, if all succeed.
+    """Retargets the clips of a job, and writes them to a pack; items with a failed clip are left
+    out.
 
     Raises:
         OutputError: the pack can't be written.
@@ -92,7 +94,7 @@ def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Resu
         else:
             items.setdefault(each.item.name, (each, []))[1].append(answer)
     finished = [item for name, item in items.items() if name not in reasons]
-    missing = {item.name: reasons.get(item.name, "no clip is in it") for item in job.items}
+    missing = {item.name: reasons.get(item.name, "it contains no clips") for item in job.items}
     return {**missing, **(write_pack(job.folder, finished) if finished else {})}
 
 
@@ -117,10 +119,10 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
 
 
 def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
-    """The clips of an item.
+    """Yields the clips of an item.
 
     Raises:
-        SmoothOperatorError: with the reason.
+        SmoothOperatorError: the item can't be read.
     """
     reading = recipe.reading(item.side, item.rate)
     if item.ref is not None:
@@ -136,8 +138,8 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         recognised = recognise(path, item.layout)
         if recognised is None:
             raise RecordingError(
-                f"{item.address}: no reader knows it; layouts of several files have to be copied "
-                "to a folder first"
+                f"{item.address}: no reader recognises it; layouts with several files must be "
+                "copied to a folder first"
             )
         layout, reader = recognised
         refs = sorted(replace(ref, layout=ref.layout or layout) for ref in reader.clips(path))
@@ -163,7 +165,7 @@ def _limited() -> Iterator[None]:
 
 
 def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:
-    """A clip with its name, its files and its key."""
+    """Combines a clip with its name, its files and its key."""
     meshes = [track.mesh for track in clip.objects if recipe.with_objects and track.mesh]
     paths = [path for path in (*(clip.source or (ref.path,)), *meshes) if path.is_file()]
     if item.ref is None:
@@ -183,7 +185,7 @@ def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) 
 
 
 def _shown(path: Path, root: Path | None) -> str:
-    """Path in a data set: relative to its source, with slashes; or absolute outside of it."""
+    """Path to store in a data set: relative to its source, with slashes; absolute if outside."""
     inside = root is not None and path.is_relative_to(root)
     return (path.relative_to(root) if inside and root is not None else path.resolve()).as_posix()
 
@@ -195,5 +197,5 @@ def _file(path: Path) -> SourceFile:
 
 @functools.lru_cache(maxsize=16)
 def _digested(path: Path, size: int, modified: int) -> SourceFile:
-    """Digest of a file that may hold many clips."""
+    """Identity of a file with its digest; cached, since a file may contain many clips."""
     return SourceFile(str(path), size, content_digest(path), str(modified))

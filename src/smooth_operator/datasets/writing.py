@@ -1,4 +1,5 @@
-"""From retargeted clips to the data set: selects episodes, writes them in order, and reports."""
+"""Writes the data set from retargeted clips: selects episodes, writes them in order, and
+reports."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ _CODE: Final = (
     *(f"datasets/{name}" for name in ("clip.py", "quality.py", "writers", "writing.py")),
     *("episode_files", "formats"),
 )
-"""Files and folders of this package that the files of a data set depend on, beside its clips."""
+"""Files and folders of this package on which the files of a data set depend, in addition to its
+clips."""
 
 _PERCENTILES: Final = (1, 5, 50, 95, 99)
 _LIMIT_OF: Final = {
@@ -63,14 +65,14 @@ _COLUMNS: Final = 3
 
 
 class FigureTable:
-    """Figures of all episodes: of the worse hand, 4 bytes each."""
+    """Table of the quality metrics of all episodes, for the worse hand; 4 bytes per value."""
 
     def __init__(self) -> None:
         self.kept: dict[str, array[float]] = {}
         self.dropped: dict[str, array[float]] = {}
 
     def add(self, episode: RobotClip | Dropped) -> None:
-        """Adds the figures of an episode."""
+        """Adds the metrics of an episode."""
         table = self.dropped if isinstance(episode, Dropped) else self.kept
         if not episode.figures:
             return
@@ -81,13 +83,13 @@ class FigureTable:
         table.setdefault("seconds", array("f")).append(episode.figures["seconds"])
 
     def extend(self, other: FigureTable) -> None:
-        """Adds the figures of another table."""
+        """Adds the metrics of another table."""
         for own, more in ((self.kept, other.kept), (self.dropped, other.dropped)):
             for name, values in more.items():
                 own.setdefault(name, array("f")).extend(values)
 
     def percentiles(self) -> dict[str, dict[str, float]]:
-        """Name of figure -> percentiles over the kept episodes."""
+        """Name of a metric -> percentiles over the kept episodes."""
         result = {}
         for name, values in self.kept.items():
             at = np.percentile(np.asarray(values), _PERCENTILES)
@@ -98,7 +100,7 @@ class FigureTable:
 
 
 def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable) -> None:
-    """Writes ``report.html`` and the histograms, as ``plots/quality.png`` and ``.svg``.
+    """Writes ``report.html``, and histograms as ``plots/quality.png`` and ``.svg``.
 
     Without matplotlib there are no histograms.
 
@@ -112,7 +114,7 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
         drawn = _histograms(figures, content["limits"])
     except ImportError:
         drawn = None
-    plot = Plots(output / "plots").element(drawn, "quality", "Quality figures of the episodes")
+    plot = Plots(output / "plots").element(drawn, "quality", "Quality metrics of the episodes")
     template = templates("smooth_operator.datasets").get_template("report.html.j2")
     macros: Any = template.make_module(
         {
@@ -142,7 +144,8 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
 
 
 def _histograms(figures: FigureTable, limits: Mapping[str, Any]) -> Figure | None:
-    """A histogram of each figure, with dropped episodes stacked on kept ones; None without any."""
+    """Histogram of each metric, with dropped episodes stacked on kept ones; None if there are
+    none."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
     shown = [f for f in FIGURES if f.name in figures.kept or f.name in figures.dropped]
@@ -181,12 +184,12 @@ EPISODES: Final = "episodes.jsonl"
 _STATE: Final = "dataset.json"
 
 PART_FRAMES: Final = 1_000_000
-"""Frames of a part of the data set, which one worker writes: about six files of Parquet."""
+"""Number of frames in a part of the data set, which one worker writes: about six Parquet files."""
 
 
 @dataclass
 class Summary:
-    """The result of a run; counts of clips, episodes and frames.
+    """Result of a run: counts of clips, episodes and frames.
 
     Attributes:
         output: the folder of results.
@@ -194,13 +197,13 @@ class Summary:
         clips: number of retargeted clips, of this run and earlier ones.
         frames: number of frames.
         episodes: number of episodes in the data set.
-        episode_frames: number of their recorded frames.
+        episode_frames: number of recorded frames of these episodes.
         written_frames: number of their frames in the data set, which may have another rate.
         dropped: number of dropped parts of clips.
         dropped_frames: number of dropped frames.
-        reasons: name of a limit -> number of episodes that broke it.
+        reasons: name of a limit -> number of episodes that violated it.
         failed: name of clip -> reason why it could not be read or retargeted.
-        passed_over: suffix -> number of files in folders that no reader recognises.
+        passed_over: suffix -> number of files in folders that no reader recognised.
         notes: notes of the writer.
     """
 
@@ -240,17 +243,17 @@ class Summary:
         return cls(output, shard, len(packs), frames, failed=dict(sorted(failed.items())))
 
     def as_json(self) -> dict[str, Any]:
-        """Content for ``report.json``."""
+        """Content of ``report.json``."""
         counts = {name: value for name, value in asdict(self).items() if name != "output"}
         return {"program": PROGRAM, "version": package_version(), **counts}
 
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """A data set to write.
+    """Description of a data set to write.
 
     Attributes:
-        request: the request for it.
+        request: the request for the data set.
         resolved: hand, method and settings of its commands.
         writing: options of the format.
         items: name and result of each finished item, sorted by name.
@@ -265,7 +268,7 @@ class Order:
 
     @property
     def identity(self) -> str:
-        """Digest of clips, limits, format, its options and the code that writes."""
+        """Digest of the clips, the limits, the format, its options and the code that writes."""
         content = [(name, pack.key) for name, pack in self.items]
         request = self.request
         writer = WRITERS[request.format].target.partition(":")[0]
@@ -275,13 +278,13 @@ class Order:
 
 @dataclass(eq=False)
 class Part:
-    """The result of writing consecutive items.
+    """Result of writing consecutive items.
 
     Attributes:
         summary: counts of episodes.
         lines: lines of ``episodes.jsonl``.
-        figures: quality of the episodes.
-        items: number of the items.
+        figures: quality metrics of the episodes.
+        items: number of items.
     """
 
     summary: Summary
@@ -297,10 +300,10 @@ def write_episodes(
     reporter: Reporter | None = None,
     notes: Sequence[str] = (),
 ) -> Summary:
-    """Writes the data set and the report. Continues where a run at the same data set was stopped.
+    """Writes the data set and the report. Continues where an earlier run was stopped.
 
-    A large data set is written in parts of ``PART_FRAMES`` frames, several in parallel. The parts,
-    and the bytes of each, depend on the items alone.
+    A large data set is written in parts of ``PART_FRAMES`` frames, several in parallel. The parts
+    and their bytes depend only on the items.
 
     Args:
         order: settings of the data set.
@@ -312,7 +315,7 @@ def write_episodes(
     Raises:
         OutputError: it can't be written.
         RecordingError: a pack is damaged.
-        WorkerError: the cluster can't be reached, or gave up.
+        WorkerError: the cluster can't be reached, or failed.
     """
     summary = Summary(
         order.request.output,
@@ -361,31 +364,32 @@ def write_episodes(
 
 
 def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> list[str]:
-    """Notes on limits that dropped all episodes, and on options to change."""
+    """Notes on the limits that dropped all episodes, and on the options that change them."""
     if not summary.reasons:
         return []
     lines = [
         f"Nothing was kept, so no data set is written. Limits that the {summary.dropped} parts "
-        "break:"
+        "violate:"
     ]
     for name, count in sorted(summary.reasons.items(), key=lambda item: -item[1]):
-        line = f"{count} of {summary.dropped} break {name}"
+        line = f"{count} of {summary.dropped} violate {name}"
         if hasattr(limits, name):
             option = f"--{name.replace('_', '-')} {getattr(limits, name)}"
-            line = f"{count} of {summary.dropped} break {option}"
+            line = f"{count} of {summary.dropped} violate {option}"
         values = figures.dropped.get(_FIGURE_OF.get(name, ""))
         if values:
-            line += f"; the parts have {min(values):.2g} to {max(values):.2g}"
+            line += f"; their values are {min(values):.2g} to {max(values):.2g}"
         lines.append(line)
     lines.append(
-        "Look at report.html, then give other limits: nothing is retargeted again. "
+        "Look at report.html, then run again with other limits; nothing is retargeted again. "
         "--no-limits keeps every clip whole."
     )
     return lines
 
 
 def _parts(order: Order) -> list[Order]:
-    """Parts of consecutive items; all but the last have at least ``PART_FRAMES`` frames."""
+    """Splits the items into consecutive parts; all but the last have at least ``PART_FRAMES``
+    frames."""
     if not getattr(WRITERS.load(order.request.format), "parallel", False):
         return [order]
     groups: list[list[tuple[str, Result]]] = []
@@ -412,7 +416,7 @@ def write_part(order: Order, written: Callable[[], None] = lambda: None) -> Part
 
     Args:
         order: the items.
-        written: called after each item.
+        written: function that is called after each item.
 
     Raises:
         OutputError: they can't be written.
@@ -468,7 +472,7 @@ def _count(summary: Summary, reasons: Counter[str], episode: RobotClip | Dropped
 
 
 def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
-    """Line of ``episodes.jsonl`` for an episode."""
+    """The line of ``episodes.jsonl`` for an episode."""
     shared = {"clip": clip.clip.name, "source": clip.clip.meta.get("source")}
     if isinstance(episode, Dropped):
         return {
@@ -492,7 +496,7 @@ def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
 
 
 def _fitted(order: Order) -> WritingOptions:
-    """The options with the joints, camera and objects of the clips."""
+    """The writing options, completed with the joints, camera and objects of the clips."""
     writing, packs = order.writing, [pack for _, pack in order.items]
     if writing.joints:
         return writing
@@ -508,10 +512,11 @@ def _fitted(order: Order) -> WritingOptions:
 
 
 def _prepare(order: Order) -> None:
-    """Prepares the folder: of a stopped run at the same data set, or a new one.
+    """Prepares the folder: continues that of a stopped run of the same data set, or starts a new
+    one.
 
     Raises:
-        OutputError: the folder has content that no run of this program wrote.
+        OutputError: the folder contains files that this program did not write.
     """
     target = order.request.data
     state = _state(order)
@@ -519,8 +524,8 @@ def _prepare(order: Order) -> None:
         state = None  # existing files stay until new ones replace them
     elif target.exists() and state is None and any(target.iterdir()):
         raise OutputError(
-            f"can't write {str(target)!r}: it has files that this command has not written; "
-            "give another folder to --output, or remove them first"
+            f"can't write {str(target)!r}: it contains files that this command did not write; "
+            "choose another folder with --output, or remove them first"
         )
     if state is not None and state.get("identity") != order.identity:
         shutil.rmtree(target, ignore_errors=True)  # other clips, limits or format: all again
@@ -528,7 +533,8 @@ def _prepare(order: Order) -> None:
 
 
 def hand_in(output: Path) -> str | None:
-    """Name of the robot hand of the data set in a folder of results; None without one."""
+    """Name of the robot hand of the data set in a folder of results; None if there is no data
+    set."""
     if not (output / DATASET).exists():
         return None
     try:

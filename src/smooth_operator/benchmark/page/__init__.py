@@ -1,3 +1,3 @@
-"""The report: one HTML file with everything in it."""
+"""Report of a benchmark: one self-contained HTML file."""
 
 from smooth_operator.benchmark.page.report import write_report as write_report

@@ -63,7 +63,7 @@ _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
 
 
 def write_summary(rows: Sequence[Row], settings: Settings) -> Path:
-    """Writes ``summary.md``: for each hand the main table, its sample, date and command.
+    """Writes ``summary.md``: the main table for each hand, with its sample, date and command.
 
     Raises:
         OutputError: it can't be written.
@@ -105,7 +105,7 @@ def _short(metric: Metric, value: float | None) -> str:
 
 
 def command_of(settings: Settings) -> str:
-    """The command of a benchmark, with recordings named without their folders."""
+    """The command that ran a benchmark, with recordings named without their folders."""
     names = [Path(text).name for text in settings.recordings]
     words = ["smooth-operator", "bench", *names, "--methods", ",".join(settings.methods)]
     words += ["--hands", ",".join(settings.hands)]
@@ -128,8 +128,8 @@ PAPER_TABLE: Final[dict[str, dict[str, float]]] = {
         "SBR": (0.9969, 0.877, 0.776, 7.17e-7, 0.210, 3.664),
     }.items()
 }
-"""Source: the paper's table of simulation metrics. It has one latency per method, which is shown
-here in the column of the median."""
+"""Numbers of the paper's table of simulation metrics. The paper has one latency per method, which
+is shown here in the column of the median."""
 
 PAPER_NOTE: Final = (
     "The paper's numbers were measured on other data (14 operators at about 100 Hz, mimic "
@@ -163,17 +163,17 @@ def macros(**context: Any) -> Any:
 
 
 def header(metric: Metric) -> Html:
-    """The heading of a column: name, unit and direction of a metric; it sorts the table."""
+    """Heading of a column: name, unit and direction of a metric. Clicking it sorts the table."""
     return Html(str(macros().header(metric)))
 
 
 def facts_table(facts: Mapping[str, Any]) -> Html:
-    """Names and values."""
+    """Table of names and values."""
     return Html(str(macros().facts(facts)))
 
 
 def player(clip: Mapping[str, object]) -> Html:
-    """One pane per method, with play, pause, a slider and a speed.
+    """Player of a clip with one pane per method, a play button, a slider and a choice of speed.
 
     Args:
         clip: result of ``make_clip``.
@@ -289,7 +289,7 @@ def _hand(
 def _sheets(
     panels: Mapping[Any, Panel], shape: Callable[[Hand], HandShape], plots: Plots
 ) -> Iterator[tuple[str, Html]]:
-    """A contact sheet for each hand and side; empty where no pose was shown."""
+    """Yields a contact sheet for each hand and side; empty if no pose was found."""
     for (hand, side), own in panels_by_hand(panels.values()).items():
         name = f"{hand} {side}"
         caption = (
@@ -329,7 +329,7 @@ def _timing(
             "recordings' percentiles, as in the table. The number is the median."
         )
         drawings.append(plots.element(drawn, f"latency-{hand}", caption))
-    text = f"Meanwhile {', '.join(parts)}{warning}." if parts else ""
+    text = f"During the measurement: {', '.join(parts)}{warning}." if parts else ""
     return {"text": text, "busy": busy, "plots": drawings}
 
 

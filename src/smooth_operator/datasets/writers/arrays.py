@@ -1,14 +1,14 @@
 """A robot clip as named arrays and a JSON document, for the general formats.
 
-All arrays have a row a frame. Poses are x y z [m] and a unit quaternion w x y z in the clip's
+All arrays have one row per frame. Poses are x y z [m] and a unit quaternion w x y z in the clip's
 world. NaN stands for an unknown value. ``SIDE`` is ``right`` or ``left``.
 
 ========================  ==========================  =============================================
 ``stamps``                (T,) float64                times of the frames [s]
 ``SIDE_joints``           (T, n) float32              commanded joint positions [rad]
 ``SIDE_wrist``            (T, 7) float32              pose of the robot hand's wrist
-``SIDE_valid``            (T,) bool                   whether the command answers a hand that was
-                                                      seen
+``SIDE_valid``            (T,) bool                   whether the command was computed from a hand
+                                                      that was seen
 ``SIDE_status``           (T,) int8                   ``Status`` of the command
 ``SIDE_confidence``       (T,) float32                of the tracker, 0 to 1, if it is known
 ``SIDE_human_wrist``      (T, 7) float32              pose of the human wrist, if it is known
@@ -17,10 +17,10 @@ world. NaN stands for an unknown value. ``SIDE`` is ``right`` or ``left``.
 ``objects``               (T, k, 7) float32           poses of the objects, if there are any
 ========================  ==========================  =============================================
 
-At another frame rate, positions and joint positions are interpolated linearly, rotations along the
-shortest way; status and confidence are those of the nearer frame. A value is known only if it is
-known in both frames around it, and a command is valid only if both frames are valid and the tracker
-did not pause between them.
+If the frame rate is changed, positions and joint positions are interpolated linearly and rotations
+along the shortest path; status and confidence are those of the nearer frame. A value is known only
+if it is known in both frames around it, and a command is valid only if both frames are valid and
+the tracker did not pause between them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def drift(stamps: Float[np.ndarray, " T"], rate: float) -> float:
 
 
 def resampled(clip: RobotClip, rate: float) -> RobotClip:
-    """The clip with frames every 1 / ``rate`` seconds from its first to its last."""
+    """Resamples a clip to frames every 1 / ``rate`` seconds, from its first frame to its last."""
     human = clip.clip
     grid = Grid.of(human.stamps, rate)
     hands: dict[Side, HandRecording] = {s: _hand(h, grid) for s, h in human.hands.items()}
@@ -76,12 +76,12 @@ def resampled(clip: RobotClip, rate: float) -> RobotClip:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Interpolation of new frames between old ones.
+    """Interpolates new frames between old ones.
 
     Attributes:
         stamps: (T,) timestamps of the new frames [s].
-        before: (T,) index of the old frame before or at the time.
-        after: (T,) index of the old frame after or at the time.
+        before: (T,) index of the old frame at or before the time.
+        after: (T,) index of the old frame at or after the time.
         share: (T,) position between the two, 0 to 1.
         pause: (T,) True if the tracker paused between the two.
     """
@@ -94,13 +94,13 @@ class Grid:
 
     @classmethod
     def of(cls, old: np.ndarray, rate: float) -> Grid:
-        """Grid with frames every 1 / ``rate`` seconds."""
+        """Makes a grid with frames every 1 / ``rate`` seconds."""
         count = int(np.floor((old[-1] - old[0]) * rate + 1e-6)) + 1
         return cls.at(old, old[0] + np.arange(count) / rate)
 
     @classmethod
     def at(cls, old: np.ndarray, new: np.ndarray) -> Grid:
-        """Grid with frames at given times, limited to the range of the old ones."""
+        """Makes a grid with frames at given times, clipped to the range of the old frames."""
         new = np.clip(new, old[0], old[-1])
         before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 1)
         after = np.minimum(before + 1, len(old) - 1)
@@ -165,10 +165,10 @@ def _commands(commands: CommandTrajectory, grid: Grid) -> CommandTrajectory:
 
 
 def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
-    """The arrays of a clip, by name, in a fixed order; see the module.
+    """Arrays of a clip by name, in a fixed order; see the docstring of this module.
 
-    Metacarpal bases, orientations of landmarks, figures of single frames, latencies and invalid
-    landmarks are left out. All numbers but the timestamps are rounded to float32.
+    Metacarpal bases, orientations of landmarks, quality metrics of single frames, latencies and
+    invalid landmarks are left out. All numbers except the timestamps are rounded to float32.
     """
     human = clip.clip
     arrays: dict[str, np.ndarray] = {"stamps": np.asarray(human.stamps, np.float64)}
@@ -198,14 +198,14 @@ def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
 
 
 def clip_valid(clip: RobotClip, side: Side) -> np.ndarray:
-    """(T,) True where the commands of a side answer a hand that was seen."""
+    """(T,) True where the command of a side was computed from a hand that was seen."""
     if side in clip.valid:
         return np.asarray(clip.valid[side], bool)
     return np.asarray(np.equal(clip.commands[side].status, Status.OK))
 
 
 def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, Any]:
-    """Other facts of a clip, in JSON types."""
+    """Other facts about a clip, as JSON values."""
     human = clip.clip
     return {
         "key": key,
@@ -236,13 +236,13 @@ def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, An
 
 
 def clip_rate(clip: RobotClip) -> float | None:
-    """Frame rate by the median step [Hz]; None with fewer than two frames."""
+    """Frame rate, from the median time step [Hz]; None with fewer than two frames."""
     steps = np.diff(clip.clip.stamps)
     return float(1.0 / np.median(steps)) if len(steps) else None
 
 
 def clip_key(clip: RobotClip) -> str:
-    """Key for a clip without one: digest of its document and arrays."""
+    """Key of a clip; if it has no key, a digest of its document and arrays."""
     digest = hashlib.sha256(to_json(clip_document(clip, "", "")).encode())
     for name, array in clip_arrays(clip).items():
         digest.update(f"{name}{array.dtype}{array.shape}".encode())

@@ -5,12 +5,12 @@
     meta/info.json, stats.json, tasks.parquet       as LeRobot defines them, for all complete shards
     meta/episodes/chunk-000/file-000.parquet        the episodes of one shard
     meta/shards/, meta/configurations/              for continued runs; LeRobot ignores them
-    data/chunk-000/file-000.parquet                 the frames of a shard, a row group an episode
+    data/chunk-000/file-000.parquet                 the frames of a shard, one row group per episode
     videos/observation.images.camera/chunk-000/     the source's videos, one file each
     README.md                                       the columns and their units
 
-LeRobot has one frame rate. Clips that deviate from it by more than a quarter of a frame are
-resampled. One writer writes all shards, because frames are numbered across them.
+A LeRobot data set has one frame rate. Clips that deviate from it by more than a quarter of a frame
+are resampled. One writer writes all shards, because frames are numbered across them.
 
 Videos are linked or copied, not decoded. LeRobot finds a frame by its time, so a video must have
 the frame rate of the data set, and frames of equal length.
@@ -128,22 +128,20 @@ def video_head(path: Path) -> VideoHead:
     """Reads the tables of an MP4 or QuickTime file.
 
     Raises:
-        RecordingError: the file does not exist, is no MP4, has no video, or frames of different
-            lengths.
+        RecordingError: the file does not exist, is not an MP4 file, contains no video, or its
+            frames have different lengths.
     """
     try:
         with path.open("rb") as file:
             tracks = [track for track in _tracks(file, path) if track is not None]
     except FileNotFoundError:
-        raise RecordingError(
-            f"{path}: no such video; give --videos none, or put it there"
-        ) from None
+        raise RecordingError(f"{path}: no such video; add it, or use --videos none") from None
     except (OSError, struct.error, ValueError) as error:
         raise RecordingError(
             f"{path}: can't be read as an MP4 video ({reason(error)}); convert it to MP4"
         ) from error
     if not tracks:
-        raise RecordingError(f"{path}: no MP4 video with a picture; convert it to MP4")
+        raise RecordingError(f"{path}: not an MP4 file with a video track; convert it to MP4")
     return tracks[0]
 
 
@@ -155,7 +153,7 @@ def _tracks(file: IO[bytes], path: Path) -> Iterator[VideoHead | None]:
         kind, head, length = _box(file.read(16), size - at)
         if kind == b"moov":
             if length > _MOST_HEAD:
-                raise ValueError(f"{length} bytes of tables")
+                raise ValueError(f"its tables have {length} bytes")
             file.seek(at + head)
             content = file.read(length - head)
             for name, track in _boxes(content):
@@ -166,7 +164,7 @@ def _tracks(file: IO[bytes], path: Path) -> Iterator[VideoHead | None]:
 
 
 def _box(data: bytes, left: int) -> tuple[bytes, int, int]:
-    """Kind, length of the head and total length of the first box [bytes]."""
+    """Kind, length of the header and total length of the first box [bytes]."""
     length, kind = struct.unpack_from(">I4s", data)
     head = 8
     if length == 1:
@@ -175,7 +173,7 @@ def _box(data: bytes, left: int) -> tuple[bytes, int, int]:
     if length == 0:
         length = left
     if length < head or length > left:
-        raise ValueError(f"a box {kind!r} of {length} bytes")
+        raise ValueError(f"a box {kind!r} has {length} bytes")
     return kind, head, length
 
 
@@ -203,7 +201,7 @@ def _track(boxes: dict[bytes, bytes], path: Path) -> VideoHead | None:
     width, height = struct.unpack_from(">HH", entry, 32)
     (count,) = struct.unpack_from(">I", boxes[b"stts"], 4)
     if len(boxes[b"stts"]) < 8 + 8 * count:
-        raise ValueError("a table of times that is cut off")
+        raise ValueError("a table of times is cut off")
     steps = [struct.unpack_from(">II", boxes[b"stts"], 8 + 8 * i) for i in range(count)]
     frames = sum(number for number, _ in steps)
     # The last frame may last as long as it likes: nothing comes after it.
@@ -212,7 +210,7 @@ def _track(boxes: dict[bytes, bytes], path: Path) -> VideoHead | None:
     }
     if len(lengths) != 1 or 0 in lengths or not scale or not width or not height:
         raise RecordingError(
-            f"{path}: its frames do not all last as long, so LeRobot can't find one by its time; "
+            f"{path}: its frames have different durations, so LeRobot can't find one by its time; "
             "convert it with a constant frame rate (ffmpeg -fps_mode cfr)"
         )
     codec = _CODECS.get(entry[4:8], entry[4:8].decode("latin-1").strip())
@@ -220,7 +218,7 @@ def _track(boxes: dict[bytes, bytes], path: Path) -> VideoHead | None:
 
 
 def place(source: Path, target: Path, how: str) -> None:
-    """Copies a video, or links it by a hard link, or else by a symbolic link.
+    """Copies a video, or links it with a hard link or, if that fails, a symbolic link.
 
     Raises:
         OSError: it can't be written.
@@ -244,10 +242,10 @@ require("a LeRobot data set", "datasets", "pyarrow")
 _OFF_GRID: Final = 0.25  # frames
 _UNITS: Final = {
     "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
-    "action": "the same, of the frame that comes next",
+    "action": "the state of the next frame",
     VIDEO_KEY: "the source's video",
 }
-"""Units of columns whose content is not that of ``convert``."""
+"""Units of the columns whose content differs from those that ``convert`` writes."""
 _IMAGENET: Final = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
 
@@ -300,7 +298,7 @@ class _Writer(ShardedWriter):
         fps = layout.fps
         if drift(clip.clip.stamps, fps) > _OFF_GRID:
             clip = resampled(clip, fps)
-            self.note(f"resampled to {fps:g} frames a second")
+            self.note(f"resampled to {fps:g} frames per second")
         columns = layout.columns(clip)
         video, start = None, 0.0
         if head is not None:
@@ -310,11 +308,11 @@ class _Writer(ShardedWriter):
             if start_frame < 0 or rest < 1:
                 raise RecordingError(
                     f"{clip.clip.name}: it begins {clip.clip.video_start_s:g} s into its video "
-                    f"{clip.clip.video}, which has {head.frames} frames"
+                    f"{clip.clip.video}, which has only {head.frames} frames"
                 )
             if rest < len(clip.clip):
                 columns = {name: values[:rest] for name, values in columns.items()}
-                self.note("cut to the length of its video")
+                self.note("cut to the length of the video")
             video, start = clip.clip.video, start_frame / fps
         if len(clip.clip.objects) > layout.objects:
             self.note(f"only the first {layout.objects} objects have columns")
@@ -460,9 +458,9 @@ class _Writer(ShardedWriter):
             fps = float(head.rate)
             if self.options.rate is not None and abs(self.options.rate / fps - 1.0) > 1e-6:
                 raise RecordingError(
-                    f"{clip.clip.name}: its video has {fps:g} frames a second, and "
-                    f"{self.options.rate:g} were asked for; LeRobot can't show it at another rate: "
-                    "leave the rate out, or write without videos"
+                    f"{clip.clip.name}: its video has {fps:g} frames per second, but "
+                    f"{self.options.rate:g} were requested; LeRobot can't show it at another rate: "
+                    "omit the rate, or write without videos"
                 )
             return fps
         if self.options.rate is not None:
@@ -470,8 +468,8 @@ class _Writer(ShardedWriter):
         rate = mean_rate(clip.clip.stamps)
         if rate is None:
             raise RecordingError(
-                f"{clip.clip.name}: one frame has no rate, and the data set has none yet; say it "
-                "with --rate"
+                f"{clip.clip.name}: a clip of one frame has no rate, and the data set has none "
+                "yet; set it with --rate"
             )
         return float(standard_fps(rate))
 
@@ -480,8 +478,8 @@ class _Writer(ShardedWriter):
             return None
         if clip.clip.video is None:
             raise RecordingError(
-                f"{clip.clip.name} has no video; in a LeRobot data set, all episodes have one or "
-                "none has: write without videos, or leave this clip out"
+                f"{clip.clip.name} has no video; in a LeRobot data set, either all episodes have a "
+                "video or none has: write without videos, or leave this clip out"
             )
         return video_head(clip.clip.video)
 
@@ -494,13 +492,13 @@ class _Writer(ShardedWriter):
                 "none" if expected is None else f"{expected['shape'][1]} x {expected['shape'][0]}"
             )
             raise RecordingError(
-                f"{clip.clip.name}: its video has {head.width} x {head.height} pixels, those of "
-                f"the data set {size}; write each size to a data set of its own"
+                f"{clip.clip.name}: its video has {head.width} x {head.height} pixels, but those "
+                f"of the data set have {size}; write each size to its own data set"
             )
         if abs(float(head.rate) / layout.fps - 1.0) > 1e-6:
             raise RecordingError(
-                f"{clip.clip.name}: its video has {float(head.rate):g} frames a second, the data "
-                f"set {layout.fps:g}; write each rate to a data set of its own"
+                f"{clip.clip.name}: its video has {float(head.rate):g} frames per second, but the "
+                f"data set has {layout.fps:g}; write each rate to its own data set"
             )
 
     def _linked(self, video: Path, start: float, seconds: float) -> dict[str, Any]:
@@ -521,7 +519,7 @@ class _Writer(ShardedWriter):
 
 
 def _video_statistics(frames: int) -> dict[str, Any]:
-    """Statistics of ImageNet, which LeRobot uses by default; no picture is decoded."""
+    """ImageNet's statistics, which LeRobot uses by default, so that no picture need be decoded."""
 
     def each(values: tuple[float, ...]) -> list[Any]:
         return [[[value]] for value in values]
@@ -532,20 +530,20 @@ def _video_statistics(frames: int) -> dict[str, Any]:
 
 
 def _card(info: dict[str, Any]) -> str:
-    """README of a data set, from ``meta/info.json``."""
+    """Text of a data set's README, from ``meta/info.json``."""
     text = (
         f"A LeRobot data set ({info['codebase_version']}), written by smooth-operator: "
         f"{info['total_episodes']} episodes, {info['total_frames']} frames, {info['fps']:g} frames "
-        f"a second, hands {info['robot_type']}. Human hands were retargeted; no robot moved."
+        f"per second, hands {info['robot_type']}. Human hands were retargeted; no robot moved."
     )
     rows = []
     for name, feature in info["features"].items():
         size = " × ".join(map(str, feature["shape"]))
         unit = _UNITS.get(name) or column_of(name)[1]
         rows.append((name, f"{feature['dtype']} × {size}", unit))
-    readme = dataset_card("Human hands as robot hands", text, rows)
+    readme = dataset_card("Human hands retargeted to robot hands", text, rows)
     if VIDEO_KEY in info["features"]:
-        readme += f"\nThe statistics of `{VIDEO_KEY}` are ImageNet's, not measured.\n"
+        readme += f"\nThe statistics of `{VIDEO_KEY}` are ImageNet's; they were not measured.\n"
     return readme
 
 

@@ -1,17 +1,17 @@
 """The columns of a LeRobot data set of robot hands.
 
-``observation.state`` and ``action`` are the joints of both hands and the poses of their wrists. The
-names of other columns begin with neither word, because LeRobot makes inputs and outputs of a policy
-of all columns that do. ``SIDE`` is ``right`` or ``left``.
+``observation.state`` and ``action`` are the joints of both hands and the poses of their wrists. No
+other column's name begins with either word, because LeRobot uses all columns whose names do as
+inputs and outputs of a policy. ``SIDE`` is ``right`` or ``left``.
 
 ==========================  =============  ========================================================
 ``observation.state``       float32 (n,)   ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of
                                            the robot's wrist [m, quaternion wxyz]
 ``action``                  float32 (n,)   the state of the next frame
 ``stamp``                   float64        true time of the frame [s]
-``SIDE_valid``              bool           whether the command answers a hand that was seen
+``SIDE_valid``              bool           whether the command was computed from a seen hand
 ``SIDE_status``             int64          ``Status`` of the command; -1: the clip lacks the hand
-``SIDE_confidence``         float32        of the tracker, 0 to 1; -1 if not known
+``SIDE_confidence``         float32        confidence of the tracker, 0 to 1; -1 if unknown
 ``SIDE_wrist_valid``        bool           whether the robot's wrist was known
 ``SIDE_human_wrist``        float32 (7,)   pose of the human wrist
 ``SIDE_human_wrist_valid``  bool           whether it was known
@@ -21,10 +21,11 @@ of all columns that do. ``SIDE`` is ``right`` or ``left``.
 ``objects_valid``           bool (k,)      whether each was known
 ==========================  =============  ========================================================
 
-There is no NaN: a policy can't use it, and LeRobot's tools turn it into a null that its loader
-does not read. An unknown pose is replaced by the last known one; before the first, by the first
-known one; without any, by the identity. The column ``…_valid`` is false there. The joints of a
-missing hand are 0. Quaternions start with w >= 0 and do not flip their sign between frames.
+No column contains NaN: a policy can't use it, and LeRobot's tools turn it into a null that its
+loader can't read. An unknown pose is replaced by the last known pose; before the first known pose,
+by that one; and if no pose is known, by the identity. The column ``…_valid`` is false there. The
+joints of a missing hand are 0. Quaternions start with w >= 0 and do not flip their sign between
+frames.
 """
 
 from __future__ import annotations
@@ -57,12 +58,12 @@ class RobotLayout:
 
     Attributes:
         joints: side -> names of the joints of the robot hand.
-        wrist: True with the robot's wrists.
-        camera: True with the camera's pose.
+        wrist: True if there are columns for the robot's wrists.
+        camera: True if there are columns for the camera's pose.
         objects: number of objects with columns.
         fps: frame rate [Hz].
         robot: names of the hands.
-        video: feature of the video; None without videos.
+        video: LeRobot feature of the video; None without videos.
     """
 
     joints: Mapping[Side, tuple[str, ...]]
@@ -75,7 +76,7 @@ class RobotLayout:
 
     @classmethod
     def of(cls, clip: RobotClip, options: WritingOptions, fps: float) -> RobotLayout:
-        """Layout from the first clip and the options."""
+        """Makes the layout for the first clip and the options."""
         names = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
         joints = {**names, **options.joints}
         return cls(
@@ -89,34 +90,36 @@ class RobotLayout:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RobotLayout:
-        """Layout from its JSON form."""
+        """Makes the layout from its JSON form."""
         joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
         return cls(**{**value, "joints": joints})
 
     def check(self, clip: RobotClip) -> None:
-        """Refuses a clip that these columns can't hold.
+        """Checks that a clip fits these columns.
 
         Raises:
-            RecordingError: it has another hand, lacks the wrists, or its joints are others.
+            RecordingError: it has another hand, lacks the wrists, or has other joints.
         """
         name = clip.clip.name
         for side, commands in clip.commands.items():
             if side not in self.joints:
                 raise RecordingError(
-                    f"{name}: it has a {side} hand, which the data set's columns lack; begin the "
-                    "data set with a clip of both hands, or write this one into another"
+                    f"{name}: it has a {side} hand, for which the data set has no columns; begin "
+                    "the data set with a clip of both hands, or write this clip to another data set"
                 )
             if tuple(commands.joint_names) != self.joints[side]:
                 raise RecordingError(
                     f"{name}: its {side} commands are for other joints than those of the data set;"
-                    " write the clips of each robot hand to a data set of their own"
+                    " write the clips of each robot hand to their own data set"
                 )
         if not clip.commands:
             raise RecordingError(f"{name}: it has no commands; leave it out")
         with_wrist = _has_wrist(clip)
         if self.wrist != with_wrist:
             has = (
-                "it has wrists and the data set none" if with_wrist else "its wrists are not known"
+                "it has wrists, but the data set does not"
+                if with_wrist
+                else "its wrists are unknown"
             )
             raise RecordingError(
                 f"{name}: {has}; write clips with and without wrists to two data sets"
@@ -146,7 +149,7 @@ class RobotLayout:
         return layout
 
     def columns(self, clip: RobotClip) -> dict[str, np.ndarray]:
-        """(T,) or (T, k) values of each column but the indices, in its type."""
+        """(T,) or (T, k) values of each column except the indices, in the column's type."""
         human, count = clip.clip, len(clip.clip)
         state: list[np.ndarray] = []
         columns: dict[str, np.ndarray] = {"stamp": np.asarray(human.stamps, np.float64)}
@@ -212,7 +215,8 @@ def _poses(track: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(rows: np.ndarray) -> np.ndarray:
-    """Replaces rows that are not finite by the last finite one, or the first; zeros without any."""
+    """Replaces rows that are not finite by the last finite row before, or else the first finite
+    row; zeros if no row is finite."""
     good = np.isfinite(rows).all(axis=1)
     if good.all():
         return rows

@@ -1,8 +1,8 @@
-"""Writer of command files like those of ``retarget``: ``NAME.npz`` and ``NAME.json`` of a clip.
+"""Writer of command files like those of ``retarget``: ``NAME.npz`` and ``NAME.json`` for each clip.
 
-A clip of two hands has ``NAME_right.npz`` and ``NAME_left.npz``. Latencies are NaN, because clips
-are retargeted together, and configurations have no date, so an interrupted run ends with the same
-bytes as an uninterrupted one.
+A clip with two hands has ``NAME_right.npz`` and ``NAME_left.npz``. Latencies are NaN because clips
+are retargeted together. Configurations have no date, so that a resumed run gives the same bytes as
+an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from smooth_operator.types import Side, Status
 
 
 class CommandFiles:
-    """Writes files of commands into a folder; files with the same content are not written again."""
+    """Writes command files into a folder; files that already have the same content are left
+    alone."""
 
     def __init__(self, folder: Path, options: WritingOptions) -> None:
         self._folder, self._options = folder, options
@@ -41,7 +42,7 @@ class CommandFiles:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Does nothing: every file is complete already."""
+        """Does nothing, since every file is already complete."""
 
     @property
     def notes(self) -> list[str]:
@@ -53,7 +54,7 @@ class CommandFiles:
         """Writes the commands of a clip.
 
         Raises:
-            RecordingError: the path has a file that this program did not write.
+            RecordingError: there is a file at the path that this program did not write.
             OutputError: it can't be written.
         """
         if self._options.rate is not None:
@@ -83,7 +84,7 @@ def taken(path: Path, folder: Path) -> str | None:
 
     Args:
         path: ``OUT.npz``.
-        folder: folder that holds all results.
+        folder: folder that contains all results.
     """
     if not path.resolve().is_relative_to(folder.resolve()):
         return f"can't write {str(path)!r}: the clip's name leads out of {folder}; rename it"
@@ -97,13 +98,13 @@ def taken(path: Path, folder: Path) -> str | None:
     if read_configuration(beside) is not None:
         return None  # the other file is its result, whole or damaged
     if beside.exists():
-        return f"can't write {str(beside)!r}: it holds something else; remove it first"
+        return f"can't write {str(beside)!r}: it contains something else; remove it first"
     if path.exists():
         try:
             read_commands(path)
         except RecordingError:
             return (
-                f"can't write {str(path)!r}: it holds something other than commands; remove it "
+                f"can't write {str(path)!r}: it contains something other than commands; remove it "
                 "first"
             )
     return None
@@ -128,13 +129,13 @@ def refused(items: Iterable[Item], folder: Path, report: str) -> dict[str, str]:
             reason = f"its configuration would be {report}, the report of the run; rename it"
         if len(same) > 1:
             files = " and ".join(sorted(each.ref.path.name for each in same if each.ref))
-            reason = f"{files} would both become {name}.npz; rename one, or remove it"
+            reason = f"{files} would both become {name}.npz; rename or remove one of them"
         reasons |= {each.name: reason for each in same}
     return {name: reason for name, reason in reasons.items() if reason is not None}
 
 
 def _configuration(episode: RobotClip, side: Side) -> dict[str, Any]:
-    """The resolved configuration of one hand, with the facts of its recording."""
+    """The resolved configuration of one hand, with facts about its recording."""
     config, recording = episode.config, episode.clip.hands[side]
     meta: Mapping[str, Any] = episode.clip.meta
     status = np.asarray(episode.commands[side].status)

@@ -1,8 +1,8 @@
-"""Writer of Parquet files with one row for each clip, and lists with one item for each frame.
+"""Writer of Parquet files with one row per clip, and lists with one item per frame.
 
-Rows are clips because clips differ in hands, objects and frames, because task and origin would be
-repeated in every frame, and because training on clips would have to group the rows again.
-``unnest`` of any engine gives rows of frames.
+A row is a clip, not a frame, because clips differ in hands, objects and frames, because task and
+origin would otherwise be repeated in every frame, and because training on clips would have to group
+the rows again. The ``unnest`` function of query engines gives one row per frame.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ _UNITS: Final = {
     "stamps": "s",
     "joints": "rad, in the order of SIDE_joint_names",
     "wrist": "robot hand's wrist in the world: x y z in m, quaternion w x y z",
-    "valid": "whether the command answers a hand that was seen",
-    "status": "why the command is what it is",
-    "confidence": "of the tracker, 0 to 1",
+    "valid": "whether the command was computed from a hand that was seen",
+    "status": "status of the command",
+    "confidence": "confidence of the tracker, 0 to 1",
     "human_wrist": "human wrist in the world: x y z in m, quaternion w x y z",
     "landmarks": "21 points x 3, m, in the tracker's frame",
     "camera": "camera in the world: x y z in m, quaternion w x y z",
-    "objects": "one pose of 7 after the other, in the order of object_names",
+    "objects": "poses of 7 numbers one after the other, in the order of object_names",
 }
 _TEXTS: Final = ("key", "name", "layout", "task", "world", "video", "configuration", "meta")
 
@@ -124,7 +124,7 @@ class _Writer(ShardedWriter):
 
 
 def clips_table(clips: Sequence[RobotClip]) -> Any:
-    """The Arrow table of clips that a Parquet file holds, without configurations.
+    """Arrow table of clips as a Parquet file contains it, without configurations.
 
     Raises:
         MissingExtraError: PyArrow is not installed.
@@ -141,7 +141,7 @@ _Make = Callable[[_Rows], Any]
 
 
 def _columns() -> dict[str, tuple[Any, _Make]]:
-    """Name -> Arrow type, and function that makes the column of clips."""
+    """Name of a column -> its Arrow type, and the function that computes it from clips."""
     pa = arrow()
     columns: dict[str, tuple[Any, _Make]] = {}
 
@@ -184,7 +184,7 @@ def _sided(part: str, side: Side) -> Callable[[dict[str, Any]], Any]:
 
 
 def _list(name: str) -> tuple[Any, _Make]:
-    """A column with one item for each frame: a number, or a list of numbers."""
+    """A column with one item per frame: a number, or a list of numbers."""
     pa = arrow()
     what = _what(name)
     if what in _SCALARS:
@@ -228,7 +228,7 @@ def _about(name: str) -> dict[str, str] | None:
 
 
 def _leaves(pa: Any, columns: dict[str, tuple[Any, _Make]]) -> list[str]:
-    """Paths of float32 columns in the file."""
+    """Paths of the float32 columns in the file."""
     paths = []
     for name, (kind, _) in columns.items():
         path = name

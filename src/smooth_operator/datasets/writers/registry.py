@@ -1,4 +1,4 @@
-"""Registry of the output formats of data sets, built-in and of plugins."""
+"""Registry of the output formats of data sets, both built-in and from plugins."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _WRITERS: Final = "smooth_operator.datasets.writers"
 
 @dataclass(frozen=True)
 class WritingOptions:
-    """Options of a format; each format uses some of them.
+    """Options for writing a data set; each format uses some of them.
 
     Attributes:
-        joints: side -> joint names of the robot hands of all clips; empty for those of the first
+        joints: side -> joint names of the robot hands of all clips; empty to use those of the first
             clip. Formats with fixed columns (LeRobot) need them.
-        rate: frame rate of the data set [Hz]; None for the format's own: LeRobot uses that of the
-            first clip, SPIDER 50, FlashDexRetarget 60; the others keep the timestamps.
+        rate: frame rate of the data set [Hz]; None for the format's default: LeRobot uses that of
+            the first clip, SPIDER 50 and FlashDexRetarget 60; the others keep the timestamps.
         videos: LeRobot: ``none``, ``link`` (hard or symbolic links) or ``copy``.
-        camera: LeRobot: True for columns of the camera's pose.
-        objects: LeRobot: number of objects with columns.
+        camera: LeRobot: True for columns with the camera's pose.
+        objects: LeRobot: number of objects that have columns.
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
         part: index of this writer among ``parts``, for formats that are ``parallel``.
         parts: number of writers that share the folder.
-        apart: True if the parts hold different clips, so a writer need not read the indices of the
-            others; with a thousand parts, that takes longer than writing one.
+        apart: True if the parts contain different clips, so that a writer need not read the indices
+            of the others; with a thousand parts, reading them takes longer than writing one part.
         name: name of the data set, for formats that store one.
         loose: SPIDER and FlashDexRetarget: True for files as these programs read them, False for
             tar files to unpack.
@@ -66,16 +66,16 @@ class WritingOptions:
 
 @dataclass(frozen=True)
 class DatasetFormat:
-    """An output format.
+    """An output format of data sets.
 
     Attributes:
-        what: kind of its data sets, for messages: ``a LeRobot dataset``.
-        open: ``open(output, options)`` returns a writer into a folder, which is created; a folder
-            that this format began is continued. The writer is a ``ShardedWriter``, or has the same
-            public methods. Raises ``MissingExtraError`` (a library is missing), ``ConfigError``
-            (the folder was begun in another format or with other options) or ``OutputError`` (the
-            folder has other content, or can't be written).
-        parallel: True if several writers (``part``, ``parts``) can write one data set at a time.
+        what: kind of its data sets, for messages, such as ``a LeRobot dataset``.
+        open: ``open(output, options)`` returns a writer into a folder. The folder is created, or
+            continued if it was begun in this format. The writer is a ``ShardedWriter``, or has the
+            same public methods. Raises ``MissingExtraError`` (a library is missing),
+            ``ConfigError`` (the folder was begun in another format or with other options) or
+            ``OutputError`` (the folder has other content, or can't be written).
+        parallel: True if several writers (``part``, ``parts``) can write one data set at once.
         shortest: smallest number of frames of a clip; a single frame has no rate.
     """
 
@@ -99,4 +99,4 @@ WRITERS: Final = Registry(
     needs=("what", "open"),
     elsewhere=dict.fromkeys(("flashdex", "spider"), RESEARCH_PACKAGE),
 )
-"""Name -> ``DatasetFormat``, open to plugins as ``smooth_operator.writers``."""
+"""Name -> ``DatasetFormat``. Plugins can add formats as ``smooth_operator.writers``."""

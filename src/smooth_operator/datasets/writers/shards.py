@@ -1,17 +1,17 @@
-"""Shards of a data set: files of many clips, each with an index that is written after it.
+"""Writes data sets in shards: files with many clips, each with an index that is written after it.
 
 ::
 
-    OUT/meta/dataset.json                      format and options that the folder was begun with
+    OUT/meta/dataset.json                      format and options with which the folder was begun
     OUT/meta/shards/part-00000-000012.json     the clips of a shard; a shard without it is ignored
     OUT/meta/configurations/DIGEST.json        configurations that made the commands
 
-A shard is written under a hidden name and renamed when it is full. So a killed process leaves
-complete shards; the next process removes files without an index and continues there.
+A shard is written under a hidden name and renamed when it is full. A killed process therefore
+leaves complete shards; the next process removes files without an index and continues there.
 
-WebDataset has tar files of samples: ``KEY.json`` and ``KEY.npz`` for each clip, with the arrays of
-``smooth_operator.datasets.writers.arrays``. The headers have no time, owner or process, so the same
-clips give the same bytes.
+A WebDataset consists of tar files with samples: ``KEY.json`` and ``KEY.npz`` for each clip, with
+the arrays of ``smooth_operator.datasets.writers.arrays``. The headers contain no time, owner or
+process, so that the same clips give the same bytes.
 """
 
 from __future__ import annotations
@@ -64,11 +64,11 @@ class ShardedWriter(ABC):
         fixed: settings that all clips of a folder must share.
 
     Attributes:
-        frames: number of written frames of the clips that ``write`` got.
+        frames: number of frames that were written for the clips passed to ``write``.
     """
 
     most_clips = 10_000
-    """Largest number of clips in a shard, whose index stays in memory until it is full."""
+    """Largest number of clips in a shard; its index stays in memory until the shard is full."""
 
     def __init__(
         self,
@@ -108,15 +108,15 @@ class ShardedWriter(ABC):
 
     @abstractmethod
     def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
-        """Adds a clip to the shard, and facts to its entry in the index.
+        """Adds a clip to the shard, and facts about it to its entry in the index.
 
         Raises:
-            RecordingError: the clip does not fit; nothing of it was written.
+            RecordingError: the clip does not fit the format; no part of it was written.
         """
 
     @abstractmethod
     def _size(self) -> int:
-        """Present size of the shard [bytes]."""
+        """Current size of the shard [bytes]."""
 
     @abstractmethod
     def _end(self, number: int) -> dict[str, Any]:
@@ -131,7 +131,7 @@ class ShardedWriter(ABC):
         """Removes leftovers of a killed process: hidden files, and this shard without an index."""
 
     def _resume(self, index: Mapping[str, Any]) -> None:  # noqa: B027 - most need nothing
-        """Counts a complete shard of this part; called for each in turn."""
+        """Counts a complete shard of this part; called for each such shard in turn."""
 
     def _describe(self) -> None:  # noqa: B027
         """Writes the description of all shards; called after each shard."""
@@ -145,18 +145,18 @@ class ShardedWriter(ABC):
 
     @property
     def notes(self) -> list[str]:
-        """Notes, each with its number of clips."""
+        """Notes about the clips, each with the number of clips it applies to."""
         return [
             f"{count} clip{'s' * (count != 1)}: {text}"
             for text, count in sorted(self._counts.items())
         ]
 
     def note(self, text: str) -> None:
-        """Adds a note about the present clip."""
+        """Adds a note about the current clip."""
         self._notes.append(text)
 
     def _take(self, key: str) -> None:
-        """Counts the frames and notes of a clip of this run or an earlier one."""
+        """Counts the frames and notes of a clip that this run or an earlier one wrote."""
         if key in self._taken:
             return
         self._taken.add(key)
@@ -169,16 +169,16 @@ class ShardedWriter(ABC):
         """Adds a clip, unless its key was written before.
 
         Raises:
-            RecordingError: the format can't hold this clip (no frames, no wrist, no object). The
-                writer can take the next one.
-            OutputError: no space, no permission. The writer can't be used any more.
+            RecordingError: the format can't store this clip (no frames, no wrist, no object). The
+                writer can be used for the next one.
+            OutputError: there is no space or no permission. The writer can't be used any more.
         """
         key = clip.key or clip_key(clip)
         if key in self._written or key in self._pending_keys:
             self._take(key)
             return
         if not len(clip.clip):
-            raise RecordingError(f"{clip.clip.name}: it holds no frames; leave it out")
+            raise RecordingError(f"{clip.clip.name}: it contains no frames; leave it out")
         entry = {
             "key": key,
             "name": clip.clip.name,
@@ -281,7 +281,7 @@ class ShardedWriter(ABC):
             return
         except (OSError, DocumentError) as error:
             raise OutputError(
-                f"{path}: can't be read ({error}); give a new folder, or remove this one"
+                f"{path}: can't be read ({error}); choose a new folder or remove this one"
             ) from error
         for name in sorted({*expected, *(stored if isinstance(stored, dict) else {})}):
             new, old = expected.get(name), stored.get(name) if isinstance(stored, dict) else None
@@ -302,14 +302,14 @@ class ShardedWriter(ABC):
                 except (DocumentError, KeyError, TypeError) as error:
                     raise OutputError(
                         f"{path}: can't be read as the index of a shard ({error}); remove it, "
-                        "and its clips are written again"
+                        "so that its clips are written again"
                     ) from error
                 self._written |= facts.keys()
                 self._facts |= facts
                 if path.name.startswith(mine):
                     if path.stem != self.shard_name(self._number):
                         raise OutputError(
-                            f"{path}: the index {self.shard_name(self._number)} before it is "
+                            f"{path}: the preceding index {self.shard_name(self._number)} is "
                             "missing; write to a new folder"
                         )
                     self._number += 1
@@ -337,7 +337,7 @@ def _about(path: Path) -> Iterator[None]:
 
 
 def hidden(path: Path) -> Path:
-    """Hidden name of a file until it is complete."""
+    """Hidden name that a file has until it is complete."""
     return path.with_name(f".{path.name}.tmp")
 
 
@@ -350,14 +350,14 @@ def publish(path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Removes a file, and one under its hidden name, if they exist."""
+    """Removes a file and its hidden version, if they exist."""
     for each in (path, hidden(path)):
         with contextlib.suppress(FileNotFoundError):
             each.unlink()
 
 
 def close_quietly(file: IO[bytes]) -> None:
-    """Closes an abandoned file, whose last bytes may not fit on the disk."""
+    """Closes an abandoned file; ignores errors, since its last bytes may not fit on the disk."""
     with contextlib.suppress(OSError):
         file.close()
 
@@ -386,7 +386,7 @@ class TarShards(ShardedWriter):
         self._tar = tarfile.TarFile(fileobj=self._file, mode="w", format=tarfile.PAX_FORMAT)
 
     def add_file(self, name: str, content: bytes) -> None:
-        """Adds a member to the shard that is open."""
+        """Adds a member to the open shard."""
         header = tarfile.TarInfo(name)
         header.size, header.mode = len(content), 0o644
         self._tar.addfile(header, io.BytesIO(content))
@@ -410,7 +410,7 @@ class TarShards(ShardedWriter):
 
 
 def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """An uncompressed NumPy archive; the same bytes for the same arrays."""
+    """Encodes arrays as an uncompressed NumPy archive; equal arrays give equal bytes."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     return content.getvalue()
