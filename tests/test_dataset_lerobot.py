@@ -260,7 +260,7 @@ def test_videos_that_do_not_fit_are_refused(tmp_path):
         )
     with pytest.raises(RecordingError, match="15 were requested"):
         write(tmp_path / "b", [robot_clip(0, video=film)], videos="link", rate=15.0)
-    with pytest.raises(RecordingError, match="which has 200 frames"):
+    with pytest.raises(RecordingError, match="which has only 200 frames"):
         write(tmp_path / "c", [robot_clip(0, video=film, video_start_s=7.0)], videos="link")
     with pytest.raises(RecordingError, match="no such video"):
         write(tmp_path / "d", [robot_clip(0, video=tmp_path / "none.mp4")], videos="link")

@@ -312,7 +312,8 @@ def test_an_empty_result_names_the_limit_to_change(copy):
     assert summary.episodes == 0
     said = "\n".join(summary.notes)
     assert "Nothing was kept, so no data set is written" in said
-    assert re.search(r"5 of 6 violate --min-seconds 1000\.0; their values are [\d.]+ to [\d.]+\n", said)
+    broken = r"5 of 6 violate --min-seconds 1000\.0; their values are [\d.]+ to [\d.]+\n"
+    assert re.search(broken, said)
     assert not (output / "dataset").exists()
     assert make(request(folder, output)).notes == []
     assert (output / "dataset").exists()
@@ -505,7 +506,7 @@ def test_object_storage(folder, tmp_path):
     memory.pipe_file("/hands/a.pair.npz", (folder / "b.pair.npz").read_bytes())
     make(asked, count)
     assert count.kept == 1
-    with pytest.raises(RecordingError, match=r"(no files|nothing) (are|is) there"):
+    with pytest.raises(RecordingError, match=r"there (are no files|is no such file)"):
         find_items(["memory://elsewhere"])
     with pytest.raises(RecordingError, match="nowhere"):
         find_items(["nowhere://x"])
@@ -741,7 +742,7 @@ def test_a_missing_gpu_and_unsuitable_work(tmp_path, folder):
     merged = make(replace(asked, merge=True))  # retargets nothing, and needs none
     assert len(merged.failed) == len(FRAMES)
     one_by_one = replace(RECIPE.request, scale="calibrate")
-    with pytest.raises(ConfigError, match="side by side"):
+    with pytest.raises(ConfigError, match="many clips together"):
         Recipe(one_by_one, device="gpu")
     line = ["dataset", str(folder), "--output", str(tmp_path), "--device", "gpu"]
     assert main([*line, "--cluster", "auto"]) == 2

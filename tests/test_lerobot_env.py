@@ -141,7 +141,7 @@ def test_pictures_are_of_the_size_that_was_chosen(make):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"fps": 0}, "steps a second"),
+        ({"fps": 0}, "steps per second"),
         ({"seconds": 0.0}, "time limit"),
         ({"start": [0.0]}, "16 finite numbers"),
         ({"variation": -1.0}, "variation"),

@@ -303,7 +303,7 @@ def test_it_says_what_is_missing(plugin):
         refused("without the pose of a wrist", wrist="quaternion")
         refused("no_joint are not among", joints={"no_joint": "thumb"})
     config = plugin.package.SmoothOperatorConfig(address="nowhere")
-    with pytest.raises(ValueError, match="no ZeroMQ address"):
+    with pytest.raises(ValueError, match="not a ZeroMQ address"):
         plugin.package.SmoothOperator(config).connect()
 
 

@@ -446,8 +446,8 @@ def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
     [
         ("/camera", b"{}", None, "MCAP file of another program, with the topics /camera"),
         ("/hand", b"{}", None, "MCAP file of another program"),
-        ("/hand", b"{}", "4", "version 4, this program reads version 3; .* upgrade"),
-        ("/hand", b"{}", "2", "version 2, this program reads version 3"),
+        ("/hand", b"{}", "4", "version 4, but this program reads version 3; .* upgrade"),
+        ("/hand", b"{}", "2", "version 2, but this program reads version 3"),
         ("/hand", b"{}", "3", "a message on /hand is not a valid smooth_operator.Hand"),
         ("/hand", b"", "3", "side must be .right. or .left., not"),
         ("/config", b"\x0a\x01{", "3", "has a wrong one"),

@@ -1,4 +1,5 @@
-"""Gymnasium environments ``smooth_hand/card``, ``cube``, ``screwdriver``; LeRobot's plug-in."""
+"""LeRobot plug-in with the Gymnasium environments ``smooth_hand/card``, ``cube``,
+``screwdriver``."""
 
 import contextlib
 import importlib.util

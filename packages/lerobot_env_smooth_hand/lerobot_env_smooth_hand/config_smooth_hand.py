@@ -21,16 +21,16 @@ class SmoothHandEnv(EnvConfig):
 
     Attributes:
         task: ``card``, ``cube`` or ``screwdriver``.
-        fps: steps a second, those of the data set that the policy was trained on [Hz].
+        fps: steps per second, equal to the frame rate of the policy's training data [Hz].
         hand: name of the robot hand, or the path of its spec file.
         side: ``right`` or ``left``.
-        seconds: after which an episode is truncated [s]; 0 for the task's own limit.
-        start: pose of the actuated joints at the start [rad]; empty for the neutral one.
-        variation: factor of the limits within which the object varies.
-        pictures: True if observations have ``observation.image``.
+        seconds: time after which an episode is truncated [s]; 0 for the task's own limit.
+        start: initial positions of the actuated joints [rad]; empty for the neutral pose.
+        variation: factor by which the ranges of the object's variation are scaled.
+        pictures: True if observations contain ``observation.image``.
         width: width of a picture [px].
         height: height of a picture [px].
-        render_mode: ``rgb_array``; LeRobot writes videos of evaluations.
+        render_mode: ``rgb_array``, which lets LeRobot write videos of evaluations.
         features: filled in from the hand.
         features_map: names of the features in data sets.
     """
@@ -57,7 +57,7 @@ class SmoothHandEnv(EnvConfig):
     )
 
     def __post_init__(self) -> None:
-        """Fill in the features.
+        """Fill in the features from the hand.
 
         Raises:
             SmoothOperatorError: there is no such hand.
@@ -74,12 +74,12 @@ class SmoothHandEnv(EnvConfig):
 
     @property
     def package_name(self) -> str:
-        """The module that registers the environments."""
+        """Name of the module that registers the environments."""
         return "lerobot_env_smooth_hand"
 
     @property
     def gym_id(self) -> str:
-        """The environment's name in Gymnasium."""
+        """Name of the environment in Gymnasium."""
         return f"smooth_hand/{self.task}"
 
     @property

@@ -1,4 +1,4 @@
-"""A simulated robot hand at one of the study's tasks, as a Gymnasium environment."""
+"""Gymnasium environment in which a simulated robot hand performs one of the study's tasks."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from smooth_operator.simulation.tasks import TASKS, Phase, TaskRun, task_named
 from smooth_operator.types import as_side
 
 LOOKS_HZ: Final = 100.0
-"""Looks of the scorer at the scene a second, at least [Hz]."""
+"""Minimum rate at which the scorer observes the scene [Hz]."""
 
 SETTLE_S: Final = 1.0
-"""Time in which the hand goes to its start pose before an episode [s]."""
+"""Time that the hand is given to reach its start pose before an episode [s]."""
 
 OBJECT_NAMES: Final = tuple(f"environment.{name}" for name in OBJECT_POSE)
 """Names of the environment's state, as the robot ``smooth_hand`` records it: position [m] and
@@ -33,26 +33,28 @@ Observation = dict[str, Any]
 
 
 class HandTask(gymnasium.Env[Observation, np.ndarray]):
-    """A task of the study: slide a card and pinch it, turn a cube, pivot a screwdriver.
+    """Environment for a task of the study: slide and pinch a card, turn a cube, pivot a
+    screwdriver.
 
-    The observation has ``agent_pos``, the (m,) measured positions of the actuated joints [rad],
-    ``environment_state``, the (7,) position [m] and quaternion wxyz of the object in the world,
-    and with pictures ``pixels``. An action is the (m,) targets of the same joints [rad]; they are
-    kept within the joints' limits. The reward of an episode is the score of the trial, 0, 0.5 or 1,
-    in its last step; ``info["is_success"]`` is true for a score of 1.
+    The observation contains ``agent_pos``, the (m,) measured positions of the actuated joints
+    [rad]; ``environment_state``, the (7,) position [m] and quaternion wxyz of the object in the
+    world; and, if requested, the picture ``pixels``. An action consists of the (m,) targets of the
+    same joints [rad]; they are clipped to the joints' limits. The reward is the score of the trial,
+    0, 0.5 or 1, in the last step of an episode; ``info["is_success"]`` is true for a score of 1.
 
-    Each episode has another start, friction and mass of the object, as the benchmark's worlds do;
-    ``reset`` with a seed repeats one.
+    The object's start, friction and mass differ in each episode, as in the benchmark's worlds;
+    ``reset`` with a seed repeats an episode.
 
     Args:
         task: ``card``, ``cube`` or ``screwdriver``.
         hand: name of the robot hand, or the path of its spec file.
         side: ``right`` or ``left``.
-        fps: steps a second [Hz].
-        seconds: after which an episode is truncated [s]; None for the task's own limit.
-        start: (m,) pose of the actuated joints at the start [rad]; None for the neutral one.
-        variation: factor of the limits within which the object varies; 0 for the nominal object.
-        pictures: True if the observation has ``pixels``.
+        fps: steps per second [Hz].
+        seconds: time after which an episode is truncated [s]; None for the task's own limit.
+        start: (m,) initial positions of the actuated joints [rad]; None for the neutral pose.
+        variation: factor by which the ranges of the object's variation are scaled; 0 for the
+            nominal object.
+        pictures: True if the observation contains ``pixels``.
         width: width of a picture [px].
         height: height of a picture [px].
         render_mode: ``rgb_array``, or None.
@@ -81,8 +83,8 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
     ) -> None:
         if not (1 <= fps <= 500 and (seconds is None or 0.0 < seconds <= 3600.0)):
             raise ConfigError(
-                f"environment: expected 1 to 500 steps a second and a time limit above 0 and up to "
-                f"3600 s, not {fps} and {seconds}"
+                f"environment: expected 1 to 500 steps per second and a time limit above 0 and up "
+                f"to 3600 s, not {fps} and {seconds}"
             )
         if not 0.0 <= variation <= 10.0:
             raise ConfigError(f"environment: variation must be 0 to 10, not {variation}")
@@ -119,7 +121,8 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode: the hand in its start pose, the object at its start in a new world."""
+        """Begin an episode in a new world, with the hand in its start pose and the object at its
+        start."""
         super().reset(seed=seed)
         del options
         world = draw_variation(self.np_random, self._variation)
@@ -135,13 +138,13 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         return self._observation(physics), {"is_success": False}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send targets of the actuated joints, and let a period pass.
+        """Set targets of the actuated joints, and simulate one period.
 
         Args:
-            action: (m,) targets [rad]; what is not finite leaves its joint's target as it is.
+            action: (m,) targets [rad]; a joint whose value is not finite keeps its previous target.
 
         Raises:
-            gymnasium.error.ResetNeeded: the episode is over, or none has begun.
+                gymnasium.error.ResetNeeded: the episode is over, or no episode has begun.
         """
         physics, run = self._physics, self._run
         if physics is None or run is None or run.phase is not Phase.RUNNING:
@@ -166,13 +169,13 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         return self._observation(physics), score, done, truncated, info
 
     def render(self) -> np.ndarray | None:
-        """(height, width, 3) picture of the scene; None without a render mode."""
+        """Draw the scene as a (height, width, 3) picture; None without a render mode."""
         if self.render_mode is None or self._physics is None:
             return None
         return self._picture(self._physics)
 
     def close(self) -> None:
-        """Give the OpenGL context back."""
+        """Free the OpenGL context."""
         self._close_camera()
 
     def _observation(self, physics: ScenePhysics) -> Observation:
@@ -200,7 +203,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
 
 
 def register() -> None:
-    """Make the tasks known to ``gymnasium.make``; a second call changes nothing."""
+    """Register the tasks for ``gymnasium.make``; a second call changes nothing."""
     for name in TASKS:
         if f"smooth_hand/{name}" not in gymnasium.registry:
             gymnasium.register(

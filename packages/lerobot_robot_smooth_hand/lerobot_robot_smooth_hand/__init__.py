@@ -1,4 +1,5 @@
-"""LeRobot robot ``smooth_hand``: a robot hand, simulated or real; a camera for a simulated one."""
+"""LeRobot robot ``smooth_hand``, a simulated or real robot hand, and a camera for a simulated
+hand."""
 
 import contextlib
 

@@ -1,4 +1,4 @@
-"""The simulated camera: LeRobot's interface to pictures of the hand in the sink ``mujoco``."""
+"""Simulated LeRobot camera that shows the hand in the sink ``mujoco``."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side, as_side
 
 _PATIENCE_S: Final = 20.0
-"""How long ``connect`` waits for the first picture [s]: OpenGL takes long to begin."""
+"""Longest time that ``connect`` waits for the first picture [s], since OpenGL starts slowly."""
 
 _FRESH_S: Final = 5.0
-"""How long an observation waits for a picture that is not too old [s]: on a busy machine one may
-take seconds, above all while LeRobot starts."""
+"""Longest time that an observation waits for a picture that is recent enough [s]. On a busy machine
+a picture may take seconds, especially while LeRobot starts."""
 
 
 class SmoothHandCamera(Camera):
-    """Pictures of the hand that the robot ``smooth_hand`` moves in the sink ``mujoco``.
+    """Camera that shows the hand that the robot ``smooth_hand`` moves in the sink ``mujoco``.
 
-    They are drawn on a thread of their own, off screen. On Linux without a display they need EGL or
-    OSMesa (``draw_off_screen``). Without a graphics card a picture takes tens of milliseconds: keep
-    it small.
+    A separate thread draws the pictures off screen. On Linux without a display, this needs EGL or
+    OSMesa (``draw_off_screen``). Without a graphics card a picture takes tens of milliseconds, so
+    keep it small.
 
     Args:
         config: settings.
@@ -54,10 +54,10 @@ class SmoothHandCamera(Camera):
         self._error: Exception | None = None
 
     def attach(self, sinks: Sequence[Sink], sides: Sequence[Side]) -> None:
-        """Choose the hand to look at; the robot does it before it connects its cameras.
+        """Choose the hand to show; the robot calls this before it connects its cameras.
 
         Args:
-            sinks: sinks of the robot, open.
+            sinks: open sinks of the robot.
             sides: sides of its hands, right first.
 
         Raises:
@@ -74,24 +74,24 @@ class SmoothHandCamera(Camera):
 
     @property
     def is_connected(self) -> bool:
-        """True if pictures are drawn."""
+        """True while pictures are drawn."""
         return self._thread is not None
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Empty: a simulated camera is there when it is named."""
+        """Returns an empty list, since a simulated camera exists only once it is configured."""
         return []
 
     def connect(self, warmup: bool = True) -> None:
-        """Begin to draw, and wait for the first picture.
+        """Start drawing, and wait for the first picture.
 
         Raises:
-            DeviceAlreadyConnectedError: it is connected.
-            DeviceNotConnectedError: it has no hand to look at, or can't draw.
+            DeviceAlreadyConnectedError: it is already connected.
+            DeviceNotConnectedError: it has no hand to show, or can't draw.
         """
         del warmup
         if self._thread is not None:
-            raise DeviceAlreadyConnectedError("the camera smooth_hand is connected already")
+            raise DeviceAlreadyConnectedError("the camera smooth_hand is already connected")
         if self._simulation is None:
             raise DeviceNotConnectedError(
                 "the camera smooth_hand belongs to the robot smooth_hand, which connects it: name "
@@ -108,34 +108,36 @@ class SmoothHandCamera(Camera):
             raise
 
     def read(self) -> np.ndarray:
-        """The next picture (height, width, 3), red, green, blue; raises as ``async_read``."""
+        """Return the next picture, (height, width, 3) red, green, blue; raises as
+        ``async_read``."""
         with self._new:
             self._given = self._number
         return self.async_read(2000.0)
 
     def async_read(self, timeout_ms: float = 500.0) -> np.ndarray:
-        """The newest picture that was not given before.
+        """Return the newest picture that has not been returned before.
 
         Args:
-            timeout_ms: how long to wait for one [ms].
+            timeout_ms: longest time to wait for a picture [ms].
 
         Raises:
-            TimeoutError: there is none.
-            DeviceNotConnectedError: not connected, or it can't draw.
+            TimeoutError: no new picture came in time.
+            DeviceNotConnectedError: the camera is not connected, or can't draw.
         """
         self._check()
         return self._wait(timeout_ms / 1e3)
 
     def read_latest(self, max_age_ms: int | None = None) -> np.ndarray:
-        """The newest picture.
+        """Return the newest picture.
 
         Args:
-            max_age_ms: an older one is an error [ms]. With None the limit is ``stale_s`` of the
-                settings, and for a few seconds this waits for a picture within it.
+            max_age_ms: age above which the picture is an error [ms]. With None, the limit is
+                ``stale_s`` of the settings, and the call waits a few seconds for a picture within
+                it.
 
         Raises:
-            TimeoutError: it is too old.
-            DeviceNotConnectedError: not connected, or it can't draw.
+            TimeoutError: the picture is too old.
+            DeviceNotConnectedError: the camera is not connected, or can't draw.
         """
         self._check()
         limit = self.config.stale_s if max_age_ms is None else max_age_ms / 1e3
@@ -194,7 +196,8 @@ class SmoothHandCamera(Camera):
             return self._picture
 
     def _draw(self) -> None:
-        """The thread; another task's scene needs another camera."""
+        """Draw pictures on the camera's thread; when the task changes, use a new MuJoCo
+        renderer."""
         simulation, side, config = self._simulation, self._side, self.config
         assert simulation is not None and side is not None  # noqa: PT018
         assert config.fps and config.width and config.height  # noqa: PT018

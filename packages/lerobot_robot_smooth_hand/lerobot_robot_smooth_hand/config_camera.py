@@ -9,19 +9,20 @@ from lerobot.cameras import CameraConfig
 @CameraConfig.register_subclass("smooth_hand")
 @dataclass(kw_only=True)
 class SmoothHandCameraConfig(CameraConfig):
-    """Settings of a camera that looks at the hand in the sink ``mujoco``.
+    """Settings of a camera that shows the hand in the sink ``mujoco``.
 
     Attributes:
-        fps: pictures a second, at most [Hz].
+        fps: maximum number of pictures per second [Hz].
         width: width of a picture [px].
         height: height of a picture [px].
-        side: ``right`` or ``left``; None for the robot's, of both hands the right one.
-        azimuth: azimuth of the view in MuJoCo's convention [degrees]; None for one that shows
-            the hand's task, or its palm where there is none.
-        elevation: likewise [degrees].
-        distance: to what is looked at [m]; None likewise.
-        stale_s: largest age of a picture in an observation [s]. While the newest is older, an
-            observation waits for the next one, for up to 5 s; then it is an error.
+        side: side of the hand to show, ``right`` or ``left``; None for the robot's hand, or its
+            right hand if it has two.
+        azimuth: azimuth of the view in MuJoCo's convention [degrees]; None for a view of the
+            hand's task, or of its palm if there is no task.
+        elevation: elevation of the view [degrees]; None as for ``azimuth``.
+        distance: distance from the camera to the point it looks at [m]; None as for ``azimuth``.
+        stale_s: largest age of a picture in an observation [s]. If the newest picture is older,
+            the observation waits up to 5 s for the next one, and then raises an error.
     """
 
     fps: int | None = 30

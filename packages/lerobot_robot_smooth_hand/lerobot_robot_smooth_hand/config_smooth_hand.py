@@ -10,33 +10,33 @@ from lerobot.robots.config import RobotConfig
 @RobotConfig.register_subclass("smooth_hand")
 @dataclass(kw_only=True)
 class SmoothHandConfig(RobotConfig):
-    """Settings of the robot; they are checked when it is made.
+    """Settings of the robot; they are checked when the robot is created.
 
     Attributes:
         hand: name of the robot hand, or the path of its spec file.
         side: ``right``, ``left`` or ``both``; with ``both`` each key begins with ``right_`` or
             ``left_``.
-        sinks: what moves the hand, as after ``smooth-operator teleop --sink``: ``mujoco``, or a
-            driver such as ``leap:/dev/ttyUSB0``. Two drivers for two hands.
-        joints: model's joint -> name in the keys; empty for all, by the model's names. Joints that
-            are left out stay in the neutral pose.
-        left_joints: the same for the left hand with ``both``; empty for ``joints``.
-        keys: where ``joints`` is empty: the ``actuated`` joints, or ``all``, those that follow
-            others too, as in the datasets of ``smooth-operator convert``; they are observed, and
-            their actions have no effect.
+        sinks: sinks that move the hand, written as for ``smooth-operator teleop --sink``:
+            ``mujoco``, or a driver such as ``leap:/dev/ttyUSB0``; two drivers for two hands.
+        joints: model's joint -> name in the keys; empty for all joints under the model's names.
+            Joints that are left out stay in the neutral pose.
+        left_joints: ``joints`` for the left hand if ``side`` is ``both``; empty to use ``joints``.
+        keys: joints to use if ``joints`` is empty: ``actuated``, or ``all``, which adds the coupled
+            joints, as in the datasets of ``smooth-operator convert``. Coupled joints are observed,
+            but actions for them have no effect.
         unit: unit of the keys: ``radians`` or ``degrees``.
-        wrist: ``none``, or take targets of the hand's wrist as ``rotation_6d`` or ``quaternion``
-            (``tcp.x``, ...) and hand them to the sinks, for an arm.
-        arm: that carries the hand in the sink ``mujoco`` and follows the wrist: ``panda``,
-            ``ur5e``, ``xarm7`` or ``iiwa14``, as after ``teleop --arm``; wrist and arm's joints
-            are then observed, too. Empty for none.
-        currents: observe the current of each actuator too, ``index.current`` in the driver's unit.
-        unmeasured: what the observation of a joint is that the hand does not measure: ``refuse``
-            to connect, or the ``command``.
+        wrist: ``none``, or the form of the targets for the hand's wrist, ``rotation_6d`` or
+            ``quaternion`` (``tcp.x``, ...); the sinks get them, for an arm.
+        arm: arm that carries the hand in the sink ``mujoco`` and follows the wrist: ``panda``,
+            ``ur5e``, ``xarm7`` or ``iiwa14``, written as for ``teleop --arm``. The wrist and the
+            arm's joints are then also observed. Empty for no arm.
+        currents: also observe the current of each actuator, ``index.current`` in the driver's unit.
+        unmeasured: what to do about a joint that the hand does not measure: ``refuse`` to connect,
+            or observe its ``command``.
         velocity: largest velocity of any joint [rad/s].
         acceleration: largest acceleration of any joint [rad/s^2].
-        stale_s: a measurement older than this is an error, not an observation [s].
-        cameras: LeRobot's cameras, and of type ``smooth_hand`` a simulated one.
+        stale_s: age above which a measurement raises an error instead of being observed [s].
+        cameras: LeRobot's cameras; the type ``smooth_hand`` is a simulated camera.
     """
 
     hand: str = "mimic_p050"

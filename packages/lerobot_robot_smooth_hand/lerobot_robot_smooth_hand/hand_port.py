@@ -24,33 +24,33 @@ if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmController
 
 FACTORS = {"degrees": 180.0 / math.pi, "radians": 1.0}
-"""Unit of the keys -> how many of it are a radian."""
+"""Unit of the keys -> number of these units per radian."""
 
 _PAUSE_S = 0.5
-"""After a pause as long as this the hand approaches the action slowly [s]."""
+"""Length of a pause after which the hand approaches the next action slowly [s]."""
 
 _APPROACH = 0.5
-"""Speed at which an approach begins [rad/s]; 2 rad/s faster with each second."""
+"""Speed at which an approach begins [rad/s]; it increases by 2 rad/s each second."""
 
 _ARRIVED = 0.02
-"""An approach has ended this near to the action [rad]."""
+"""Distance from the action at which an approach ends [rad]."""
 
 _PATIENCE_S = 5.0
-"""How long ``connect`` waits for the first measurement [s]."""
+"""Longest time that ``connect`` waits for the first measurement [s]."""
 
 
 class HandPort:
-    """One hand: its keys, its limiter, and the sink that moves it.
+    """One hand of the robot: its keys, its limiter, and the sink that moves it.
 
     Args:
         hand: the robot hand.
         config: settings of the robot.
         joints: model's joint -> name in the keys; empty for all actuated ones.
         prefix: prefix of the keys.
-        arm: controller of the arm that carries the hand; None for none.
+        arm: controller of the arm that carries the hand; None without an arm.
 
     Raises:
-        ValueError: the hand has no such joint to command, or two have one name.
+        ValueError: a joint can't be commanded on this hand, or two joints have the same name.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class HandPort:
             )
         self.keys = tuple(f"{prefix}{name}.pos" for name in names.values())
         if len(set(self.keys)) < len(self.keys):
-            raise ValueError(f"joints: two joints have one key: {', '.join(self.keys)}")
+            raise ValueError(f"joints: two joints have the same key: {', '.join(self.keys)}")
         self._prefix = prefix
         self.wrist = WristPort(config.wrist, prefix, self.side, arm, self._factor)
         commanded = [name for name in names if name in hand.actuated_names]
@@ -88,10 +88,10 @@ class HandPort:
         self._seen: HandState | None = None
 
     def attach(self, sinks: Sequence[Sink]) -> None:
-        """Find the sink that measures the hand, and begin where the hand is.
+        """Find the sink that measures the hand, and start from the measured pose.
 
         Raises:
-            DeviceNotConnectedError: no sink measures it, or not all of its joints.
+            DeviceNotConnectedError: no sink measures the hand, or some joints are not measured.
         """
         deadline = time.perf_counter() + _PATIENCE_S
         while (state := self._look(sinks)) is None and time.perf_counter() < deadline:
@@ -106,7 +106,7 @@ class HandPort:
         if unknown and self._config.unmeasured == "refuse":
             raise DeviceNotConnectedError(
                 f"the {self.side} hand does not measure {', '.join(unknown)}; to observe their "
-                "command in place of it, set --robot.unmeasured=command"
+                "commands instead, set --robot.unmeasured=command"
             )
         self._limiter.put(np.where(np.isfinite(actuated), actuated, self.hand.neutral))
         self._target = self._limiter.q.copy()
@@ -114,7 +114,7 @@ class HandPort:
         self.wrist.attach(sinks)
 
     def currents(self, sinks: Sequence[Sink]) -> tuple[str, ...]:
-        """Keys of the currents, from the table of the driver; known before anything is open.
+        """Keys of the currents, from the driver's table; known before the sinks are open.
 
         Raises:
             ValueError: no sink has a table of this hand's actuators.
@@ -128,17 +128,17 @@ class HandPort:
         raise ValueError(f"currents: no driver in --robot.sinks measures the {self.side} hand")
 
     def send(self, action: Mapping[str, float], sinks: Sequence[Sink]) -> dict[str, float]:
-        """Move towards an action within the limits; returns what was sent.
+        """Move towards an action within the limits; returns the values that were sent.
 
         Raises:
-            ValueError: a key is missing, or a value is no number.
+            ValueError: a key is missing, or a value is not a number.
         """
         needed = (*self._given, *self.wrist.keys)
         missing = [key for key in needed if key not in action]
         if missing:
             raise ValueError(f"the action lacks {', '.join(missing)}")
         if not all(math.isfinite(action[key]) for key in needed):
-            raise ValueError(f"the action has values that are no numbers: {dict(action)}")
+            raise ValueError(f"the action has values that are not numbers: {dict(action)}")
         wanted = np.array([float(action[key]) for key in self._given]) / self._factor
         now = time.perf_counter()
         pause = now - self._last
@@ -163,7 +163,7 @@ class HandPort:
         return {**dict(zip(self.keys, sent.tolist(), strict=True)), **self.wrist.values(wrist)}
 
     def observation(self, sinks: Sequence[Sink]) -> dict[str, float]:
-        """What the hand and its arm measure, in the unit of the keys.
+        """Measurements of the hand and its arm, in the unit of the keys.
 
         Raises:
             DeviceNotConnectedError: the newest measurement is too old.
@@ -188,7 +188,7 @@ class HandPort:
         keys = [f"{self._prefix}{name}.current" for name in state.actuators]
         if state.currents is None or not np.isfinite(state.currents).all():
             raise DeviceNotConnectedError(
-                f"the {self.side} hand does not measure the currents of all actuators; leave out "
+                f"the {self.side} hand does not measure the currents of all actuators; remove "
                 "--robot.currents"
             )
         return dict(zip(keys, state.currents.tolist(), strict=True))
@@ -225,7 +225,7 @@ class HandPort:
         return None
 
     def _state(self) -> HandState:
-        """The newest measurement; while the device is lost, the last one."""
+        """The newest measurement; while the device is disconnected, the last one before."""
         state = None if self._sink is None else self._sink.state(self.side)
         if state is not None:
             self._seen = state

@@ -1,4 +1,4 @@
-"""The robot: LeRobot's interface to a sink that moves a hand and measures it."""
+"""LeRobot robot that moves and measures a hand through smooth-operator's sinks."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ logger = logging.getLogger(__name__)
 class SmoothHand(Robot):
     """A robot hand that smooth-operator's sinks move and measure.
 
-    Actions and observations have the same keys, ``JOINT.pos``, one for each joint; with ``wrist``
-    actions also have ``tcp.x`` and so on. An action is followed within the limits of position,
-    velocity and acceleration; the first one, and one after half a second of silence, is approached
-    slowly. Real hands rest when no action comes for 0.2 s (``docs/robots`` says how). While it is
-    connected, SIGTERM and a closed terminal (SIGHUP) act as Ctrl-C does, unless the program handles
-    signals itself: LeRobot's commands then disconnect, and the hand comes to rest.
+    Actions and observations have the same keys, ``JOINT.pos``, one for each joint. If ``wrist`` is
+    set, actions also have ``tcp.x`` and so on. The hand follows an action within the limits of
+    position, velocity and acceleration; the first action, and one after a pause of half a second,
+    is approached slowly. Real hands stop when no action comes for 0.2 s (``docs/robots`` describes
+    how). While the robot is connected, SIGTERM and a closed terminal (SIGHUP) act like Ctrl-C,
+    unless the program handles signals itself: LeRobot's commands then disconnect, and the hand
+    comes to rest.
 
     Args:
         config: settings.
@@ -85,30 +86,31 @@ class SmoothHand(Robot):
 
     @property
     def is_calibrated(self) -> bool:
-        """Always: a driver has its table, see ``smooth-operator hardware check``."""
+        """Always True: the table of a driver is its calibration (``smooth-operator hardware
+        check``)."""
         return True
 
     def calibrate(self) -> None:
-        """Says where a hand is calibrated: there is nothing to do here."""
+        """Print how a hand is calibrated; does nothing else."""
         logger.info(
             "smooth_hand needs no calibration by LeRobot. A real hand is calibrated by the table "
             "of its driver: smooth-operator hardware check --help"
         )
 
     def configure(self) -> None:
-        """Nothing to do."""
+        """Does nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Open the sinks and the cameras, and find out where the hand is. Nothing moves.
+        """Open the sinks and the cameras, and measure the hand's pose. Nothing moves.
 
         Raises:
-            DeviceAlreadyConnectedError: it is connected.
+            DeviceAlreadyConnectedError: it is already connected.
             DeviceNotConnectedError: the hand is not measured, or a camera can't draw.
-            ValueError: a simulated camera has no simulated hand to look at.
+            ValueError: a simulated camera has no simulated hand to show.
             SmoothOperatorError: a sink can't be opened.
         """
         if self._connected:
-            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+            raise DeviceAlreadyConnectedError(f"{self} is already connected")
         hands = {hand.side: hand.hand for hand in self._hands}
         about = {"program": "lerobot", "hand": self.config.hand, "sinks": list(self.config.sinks)}
         with contextlib.ExitStack() as opened:
@@ -129,10 +131,11 @@ class SmoothHand(Robot):
         self._connected = True
 
     def get_observation(self) -> dict[str, Any]:
-        """Measured joints, currents and pictures.
+        """Return measured joints, currents and pictures.
 
         Raises:
-            DeviceNotConnectedError: not connected, or the newest measurement is too old.
+            DeviceNotConnectedError: the robot is not connected, or the newest measurement is too
+                old.
         """
         self._check()
         seen: dict[str, Any] = {}
@@ -143,15 +146,15 @@ class SmoothHand(Robot):
         return seen
 
     def send_action(self, action: Mapping[str, float]) -> dict[str, float]:
-        """Move towards an action; keys that the hand does not have are left out.
+        """Move towards an action; keys that the hand does not have are ignored.
 
         Returns:
-            What was sent, within the limits.
+            The values that were sent, within the limits.
 
         Raises:
-            DeviceNotConnectedError: not connected.
-            ValueError: a key is missing, or a value is no number.
-            SinkError: the hand can't be reached.
+            DeviceNotConnectedError: the robot is not connected.
+            ValueError: a key is missing, or a value is not a number.
+            SinkError: the hand does not respond.
         """
         self._check()
         sent: dict[str, float] = {}
@@ -175,7 +178,7 @@ class SmoothHand(Robot):
 
 
 def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[HandPort]:
-    """The hands that the settings ask for; ``arms`` gets their arms.
+    """Create the hands that the settings request; their arms are added to ``arms``.
 
     Raises:
         ValueError: a setting is wrong.
@@ -192,7 +195,7 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
             raise ValueError(f"{name} must be one of {', '.join(known)}, not {value!r}")
     check_numbers(config, positive=("velocity", "acceleration"), not_negative=("stale_s",))
     if not config.sinks:
-        raise ValueError("sinks: name at least one, such as mujoco")
+        raise ValueError("sinks: name at least one sink, such as mujoco")
     sides = ("right", "left") if config.side == "both" else (config.side,)
     if config.left_joints and config.side != "both":
         raise ValueError("left_joints is for --robot.side=both; use joints for one hand")

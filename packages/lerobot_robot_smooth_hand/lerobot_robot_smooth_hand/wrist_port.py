@@ -22,22 +22,22 @@ if TYPE_CHECKING:  # which needs the extra arm
 
 _APPROACH = 0.05
 _FASTER = 0.3
-"""Share of the limits of velocity with which an approach begins, and what each second adds."""
+"""Share of the velocity limits at which an approach begins, and its increase per second."""
 
 _NEAR_M = 0.005
 _NEAR_RAD = 0.02
-"""An approach has ended this near to the action."""
+"""Distance from the action at which an approach ends [m, rad]."""
 
 
 class WristPort:
-    """Targets of a wrist, as actions, to commands within the limits of speed and acceleration.
+    """Converts actions for a wrist to commands within limits of speed and acceleration.
 
     Args:
         kind: one of ``WRIST_NAMES``.
         prefix: prefix of the keys.
         side: side of the hand.
-        arm: controller of the arm that carries the hand; None where the sinks take the wrist.
-        factor: how many units of the keys are a radian.
+        arm: controller of the arm that carries the hand; None if the sinks take the wrist's pose.
+        factor: number of units of the keys per radian.
 
     Attributes:
         keys: keys of the wrist.
@@ -58,14 +58,14 @@ class WristPort:
 
     @property
     def observed(self) -> tuple[str, ...]:
-        """Keys of what is measured: of the arm's joints and of the wrist, where there is an arm."""
+        """Keys of the measured values: the arm's joints and the wrist; empty without an arm."""
         return () if self._arm is None else (*self.arm_keys, *self.keys)
 
     def attach(self, sinks: Sequence[Sink]) -> None:
-        """Begin where the arm is.
+        """Start from the measured pose of the arm.
 
         Raises:
-            DeviceNotConnectedError: no sink has the arm.
+            DeviceNotConnectedError: no sink moves the arm.
         """
         if self._arm is None:
             return
@@ -75,7 +75,7 @@ class WristPort:
         self._begun = True
 
     def approach(self, now: float) -> None:
-        """Go slowly to the actions from now on [s], from rest, until one is reached."""
+        """Approach the actions slowly from a time on [s], from rest, until one is reached."""
         self._slow_since = now
         self._limiter.put(self._limiter.pose)
         if self._arm is not None:
@@ -84,18 +84,18 @@ class WristPort:
     def step(
         self, action: Mapping[str, float], now: float, dt: float, hand: np.ndarray
     ) -> tuple[WristCommand | None, ArmCommand | None]:
-        """The next commands; None without a wrist, and without an arm.
+        """Compute the next wrist and arm commands; each is None if there is no wrist or no arm.
 
-        Without an arm that is measured the first one is the action itself.
+        Without a measured arm, the first wrist command is the action itself.
 
         Args:
-            action: with the keys of the wrist.
+            action: action that contains the keys of the wrist.
             now: time [s].
             dt: time since the last step [s].
             hand: (n,) positions of all joints of the hand [rad].
 
         Raises:
-            ValueError: the action's rotation is none.
+            ValueError: the action's rotation is not a rotation.
         """
         if not self.keys:
             return None, None
@@ -112,14 +112,14 @@ class WristPort:
         return wrist, None if self._arm is None else self._arm.step(wrist.pose, dt, hand)
 
     def values(self, command: WristCommand | None) -> dict[str, float]:
-        """A command by its keys."""
+        """Values of a command by their keys."""
         return {} if command is None else self._values(command.pose)
 
     def observation(self, sinks: Sequence[Sink]) -> dict[str, float]:
-        """Where the arm and the wrist are; empty without an arm.
+        """Measured arm joints and wrist pose; empty without an arm.
 
         Raises:
-            DeviceNotConnectedError: they are not measured.
+            DeviceNotConnectedError: no sink measures them.
         """
         if self._arm is None:
             return {}
@@ -144,11 +144,14 @@ class WristPort:
         return dict(zip(self.keys, np.concatenate([pose[:3], turn]).tolist(), strict=True))
 
     def _pose(self, values: np.ndarray) -> np.ndarray:
-        """x y z [m] and unit quaternion w x y z, from what a policy gives: nearly a rotation."""
+        """Convert values, whose rotation may be inexact, to x y z [m] and a unit quaternion
+        wxyz."""
         if self.kind == "quaternion":
             length = np.linalg.norm(values[3:])
             if not 0.1 < length < 10.0:
-                raise ValueError(f"the action's quaternion is none: {values[3:].tolist()}")
+                raise ValueError(
+                    f"the action's quaternion is not a rotation: {values[3:].tolist()}"
+                )
             turn = values[3:] / length
         else:
             x, second = values[3:6], values[6:]
@@ -157,7 +160,9 @@ class WristPort:
             y = second - (x @ second) * x
             across = np.linalg.norm(y)
             if length <= 0.1 or across <= 0.1:
-                raise ValueError(f"the action's rotation is none: {values[3:].tolist()}")
+                raise ValueError(
+                    f"the action's rotation_6d is not a rotation: {values[3:].tolist()}"
+                )
             y = y / across
             turn = poses.quaternions(np.stack([x, y, np.cross(x, y)], axis=-1))
         return np.concatenate([values[:3], turn])

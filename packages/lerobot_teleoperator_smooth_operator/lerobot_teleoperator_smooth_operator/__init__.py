@@ -1,4 +1,4 @@
-"""LeRobot teleoperator ``smooth_operator``: a tracked human hand drives a robot hand."""
+"""LeRobot teleoperator ``smooth_operator``, with which a tracked human hand drives a robot hand."""
 
 from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
 from lerobot_teleoperator_smooth_operator.teleoperator import SmoothOperator

@@ -1,4 +1,4 @@
-"""The newest command of each hand, and how old it is."""
+"""Stores the newest command of each hand, and computes its age."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ FORMAT = 1
 """Version of the messages that this plug-in reads."""
 
 ARM_PREFIX = "arm_"
-"""Before the names of an arm's joints, which may be those of a hand's."""
+"""Prefix of the names of an arm's joints, since hand joints may have the same names."""
 
 _SPAN_S = 30.0
-"""Time in which the quickest message is looked for; longer, and two clocks drift apart [s]."""
+"""Time window in which the quickest message is found [s]; over longer times, two clocks drift."""
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,13 @@ class Command:
     """A command of one hand.
 
     Attributes:
-        names: (n) model's joints; with an arm its joints too, ``arm_joint1``, ...
+        names: (n) names of the model's joints and, with an arm, of its joints ``arm_joint1``, ...
         positions: (n) angles [rad].
         wrist: target of the wrist in the robot's base: x y z [m], quaternion w x y z; None
-            where the message has none.
-        mode: what the loop is doing: ``tracking``, ``holding``, ``paused``, ``stopped``, ...
-        valid_for_s: how long it may be acted upon [s].
-        sent: when it was ready, by this process's clock as far as that can be known [s].
+            if the message does not contain it.
+        mode: mode of the loop: ``tracking``, ``holding``, ``paused``, ``stopped``, ...
+        valid_for_s: time for which the command is valid [s].
+        sent: time at which it was sent, estimated in terms of this process's clock [s].
     """
 
     names: tuple[str, ...]
@@ -43,10 +43,10 @@ class Command:
 
 
 class _Lateness:
-    """How much longer a message took than the quickest one of late.
+    """Measures how much longer a message took than the quickest recent one.
 
-    Sender and receiver have clocks of their own, whose difference is not known; the quickest
-    message stands for no delay. So a queue of old messages does not pass as new ones.
+    Sender and receiver have separate clocks, whose difference is unknown, so the quickest message
+    is assumed to have no delay. Queued old messages are therefore not mistaken for new ones.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class _Lateness:
 
 
 class Newest:
-    """Newest command of each hand; messages come from a thread, readers never wait.
+    """Stores the newest command of each hand; a thread adds messages, and readers never wait.
 
     Args:
         clock: clock of this process [s].
@@ -83,39 +83,39 @@ class Newest:
         self._changed = threading.Condition()
 
     def command(self, side: str) -> Command | None:
-        """The newest command of a hand; None before the first."""
+        """The newest command of a hand; None before the first command."""
         return self._commands.get(side)
 
     def age(self, command: Command) -> float:
-        """How old a command is [s]."""
+        """Age of a command [s]."""
         return self._clock() - command.sent
 
     def silence(self, side: str) -> str:
-        """Why no command comes, where the loop said so; else empty."""
+        """Reason why no commands come, if the loop stated it; otherwise empty."""
         return self._silent.get(side, "")
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Hands that commands came for."""
+        """Sides of the hands for which commands have been received."""
         return tuple(self._commands)
 
     @property
     def refused(self) -> str:
-        """What was wrong with the last message that could not be read; empty for nothing."""
+        """Error of the last message that could not be read; empty if all could be read."""
         return self._refused
 
     def wait(self, enough: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until something is so, and say whether it is."""
+        """Wait until ``enough`` returns True, up to a timeout; returns its last result."""
         with self._changed:
             return self._changed.wait_for(enough, timeout_s)
 
     def wake(self) -> None:
-        """Have those who wait look again."""
+        """Make waiting threads check their condition again."""
         with self._changed:
             self._changed.notify_all()
 
     def receive(self, data: bytes) -> None:
-        """Take a message as it came; one that can't be read is left out and remembered."""
+        """Decode and store a message; if it can't be read, ignore it and remember the error."""
         try:
             message = json.loads(data)
         except ValueError as error:
@@ -124,7 +124,7 @@ class Newest:
         self.take(message)
 
     def take(self, message: Any) -> None:
-        """Take a message; one that can't be read is left out and remembered."""
+        """Store a decoded message; if it can't be read, ignore it and remember the error."""
         try:
             self._take(message)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -135,11 +135,13 @@ class Newest:
         kind, side = message["type"], message["side"]
         if message["format"] != FORMAT:
             raise ValueError(
-                f"messages have format {message['format']}, not {FORMAT}; install a plug-in and a "
-                "smooth-operator of one version"
+                f"messages have format {message['format']}, not {FORMAT}; install the plug-in and "
+                "smooth-operator in the same version"
             )
         if kind in ("stalled", "end"):
-            self._silent[side] = "no command comes" if kind == "stalled" else "teleop has ended"
+            self._silent[side] = (
+                "teleop sends no commands" if kind == "stalled" else "teleop has ended"
+            )
         elif kind == "command":
             self._commands[side] = self._command(side, message)
             self._silent.pop(side, None)
@@ -151,7 +153,7 @@ class Newest:
             names += tuple(f"{ARM_PREFIX}{name}" for name in message["arm"]["names"])
             positions += tuple(map(float, message["arm"]["positions"]))
         if len(names) != len(positions) or not all(map(math.isfinite, positions)):
-            raise ValueError(f"{len(names)} joints and the positions {positions}")
+            raise ValueError(f"{len(names)} joints do not match the positions {positions}")
         arrived = self._clock()
         lateness = self._lateness.setdefault(side, _Lateness()).of(float(message["time"]), arrived)
         return Command(
@@ -171,5 +173,5 @@ def _wrist(message: Any) -> tuple[float, ...] | None:
     pose = tuple(map(float, message["pose"]))
     length = math.sqrt(sum(value * value for value in pose[3:]))
     if len(pose) != 7 or not all(map(math.isfinite, pose)) or abs(length - 1.0) > 1e-3:
-        raise ValueError(f"a wrist's pose is 3 coordinates and a unit quaternion, not {pose}")
+        raise ValueError(f"a wrist's pose must be 3 coordinates and a unit quaternion, not {pose}")
     return pose

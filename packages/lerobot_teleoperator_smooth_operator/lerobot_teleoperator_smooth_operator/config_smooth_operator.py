@@ -9,32 +9,32 @@ from lerobot.teleoperators.config import TeleoperatorConfig
 @TeleoperatorConfig.register_subclass("smooth_operator")
 @dataclass(kw_only=True)
 class SmoothOperatorConfig(TeleoperatorConfig):
-    """Settings of the teleoperator; they are checked when it is made.
+    """Settings of the teleoperator; they are checked when it is created.
 
     Attributes:
-        address: where ``smooth-operator teleop --sink zmq`` publishes.
+        address: address at which ``smooth-operator teleop --sink zmq`` publishes.
         side: ``right``, ``left`` or ``both``; with ``both`` each key begins with ``right_`` or
             ``left_``.
-        joints: model's joint -> robot's joint, ``{right_i-mcp: index_mcp}``; its key is
+        joints: model's joint -> robot's joint, such as ``{right_i-mcp: index_mcp}``, whose key is
             ``index_mcp.pos``. With ``teleop --arm`` also ``{arm_joint1: joint1}``. Empty for all
-            joints, by the model's names.
-        left_joints: the same for the left hand with ``both``; empty for ``joints``.
+            joints under the model's names.
+        left_joints: ``joints`` for the left hand if ``side`` is ``both``; empty to use ``joints``.
         unit: unit of the robot's keys: ``radians``, ``degrees``, ``range_m100_100`` (-100 to 100)
             or ``range_0_100``.
         ends: robot's joint -> model's angles [rad] at the two ends of a range,
-            ``{index_mcp: [0.0, 1.6]}``; the first may be the larger. For the ranges only.
-        signs: robot's joint -> 1 or -1, in degrees and radians; 1 where it is not named.
-        offsets: robot's joint -> what its angle is at the model's zero [unit].
+            ``{index_mcp: [0.0, 1.6]}``; the first may be the larger. Only for range units.
+        signs: robot's joint -> 1 or -1, only for degrees and radians; 1 by default.
+        offsets: robot's joint -> its angle when the model's angle is zero [unit].
         wrist: ``none``, ``rotation_6d`` (``tcp.x``, ``tcp.y``, ``tcp.z`` [m] and ``tcp.r1`` to
             ``tcp.r6``: first and second column of the rotation matrix) or ``quaternion``
             (``tcp.qw``, ``tcp.qx``, ``tcp.qy``, ``tcp.qz``).
-        timeout_s: how long ``connect`` waits for the first command [s].
-        hold_s: how long the last action is repeated when commands stop or are too old [s]; after
-            that ``get_action`` raises.
-        source: run the loop in this process, from this source (``webxr``, ``manus``,
-            ``synthetic``); empty to subscribe to ``address``.
-        hand: robot hand of the loop in this process.
-        method: its retargeting method; empty for the default.
+        timeout_s: longest time that ``connect`` waits for the first command [s].
+        hold_s: time for which the last action is repeated when commands stop or are too old [s];
+            after that, ``get_action`` raises.
+        source: source (``webxr``, ``manus``, ``synthetic``) with which to run the loop in this
+            process; empty to subscribe to ``address``.
+        hand: robot hand, if the loop runs in this process.
+        method: retargeting method, if the loop runs in this process; empty for the default.
     """
 
     address: str = "tcp://127.0.0.1:5556"

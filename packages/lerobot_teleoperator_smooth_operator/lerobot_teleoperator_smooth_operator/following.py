@@ -1,4 +1,4 @@
-"""Commands to the robot across a gap: it holds, then approaches the new target slowly."""
+"""Smooths commands across a gap: the robot holds, and then approaches the new target slowly."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Follower:
         self._begin, self._duration = 0.0, _LEAST_S
 
     def hold(self) -> None:
-        """Keeps the last values, without a target."""
+        """Keeps the last values while there is no target."""
         self._held = self.values is not None
 
     def follow(self, target: Sequence[float], now: float) -> np.ndarray:
-        """The values for a target.
+        """Computes the values for a target.
 
         Args:
             target: (n,) angles [rad].
@@ -67,7 +67,7 @@ class Follower:
 
 
 class PoseFollower(Follower):
-    """The same for a pose: x y z [m], unit quaternion w x y z. Offsets are (6,): m, and rad."""
+    """``Follower`` for poses: x y z [m], unit quaternion w x y z. Offsets are (6,): m and rad."""
 
     def _difference(self, held: np.ndarray, target: np.ndarray) -> np.ndarray:
         turn = poses.multiply(held[3:], poses.conjugate(target[3:]))
@@ -88,6 +88,6 @@ def rotation_6d(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _fading(passed: float) -> float:
-    """1 at 0 and before, 0 at 1 and after, with speed zero at both."""
+    """Smooth step from 1 (at 0 and below) to 0 (at 1 and above) with zero slope at both ends."""
     passed = min(max(passed, 0.0), 1.0)
     return 1.0 - passed * passed * (3.0 - 2.0 * passed)

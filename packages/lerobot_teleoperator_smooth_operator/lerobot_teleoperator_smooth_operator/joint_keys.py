@@ -1,4 +1,4 @@
-"""From the model's joints [rad] to a robot's keys, in its unit."""
+"""Converts the model's joint angles [rad] to a robot's keys and units."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 RANGES = {"range_m100_100": (-100.0, 100.0), "range_0_100": (0.0, 100.0)}
-"""Units that are shares of a joint's range, and their two ends."""
+"""Units that express a position within a joint's range, and their values at its two ends."""
 
 UNITS = ("degrees", "radians", *RANGES)
 """Units of a robot's joints."""
@@ -18,11 +18,11 @@ class JointKey:
     """One joint of the robot: ``value = offset + factor * angle``, within its bounds.
 
     Attributes:
-        joint: the model's name.
-        key: the robot's, such as ``index_mcp.pos``.
-        factor: unit of the robot for each radian.
+        joint: name of the joint in the model.
+        key: key of the robot, such as ``index_mcp.pos``.
+        factor: change of the value per radian [unit/rad].
         offset: value at the model's zero [unit].
-        low: least value [unit].
+        low: smallest value [unit].
         high: largest value [unit].
     """
 
@@ -34,7 +34,7 @@ class JointKey:
     high: float = math.inf
 
     def value(self, angle: float) -> float:
-        """The robot's value of an angle [rad]."""
+        """Converts an angle [rad] to the robot's value."""
         return min(max(self.offset + self.factor * angle, self.low), self.high)
 
 
@@ -47,7 +47,7 @@ def joint_keys(
     offsets: Mapping[str, float],
     prefix: str = "",
 ) -> tuple[JointKey, ...]:
-    """Keys of a robot.
+    """Makes the keys of a robot.
 
     Args:
         joints: model's joint -> robot's joint.
@@ -58,16 +58,18 @@ def joint_keys(
         prefix: prefix of every key.
 
     Raises:
-        ValueError: the unit is unknown, a range has no ends or equal ones, a sign is not 1 or -1,
-            two joints have one key.
+        ValueError: the unit is unknown, a range has no ends or equal ends, a sign is not 1 or -1,
+            or two joints have the same key.
     """
     if unit not in UNITS:
         raise ValueError(f"unit must be one of {', '.join(UNITS)}, not {unit!r}")
     for setting, given in (("signs", signs), ("offsets", offsets)):
         if given and unit in RANGES:
-            raise ValueError(f"{setting} are for degrees and radians; unit {unit} has ends")
+            raise ValueError(
+                f"{setting} are only for degrees and radians; for unit {unit} set ends"
+            )
     if ends and unit not in RANGES:
-        raise ValueError(f"ends are for {' and '.join(RANGES)}; unit {unit} has signs and offsets")
+        raise ValueError(f"ends are only for {' and '.join(RANGES)}; {unit} uses signs and offsets")
     keys = [
         _joint_key(joint, name, unit, ends, signs, offsets, prefix)
         for joint, name in joints.items()
@@ -81,16 +83,16 @@ def joint_keys(
 def check_names(
     joints: Mapping[str, str], of_joints: Mapping[str, Mapping[str, object]], all_joints: bool
 ) -> None:
-    """Settings of a joint name joints that there are; a misspelt one would have no effect.
+    """Check that settings name existing joints; a misspelt name would have no effect.
 
     Raises:
-        ValueError: one does not.
+        ValueError: a setting names an unknown joint.
     """
     for setting, values in of_joints.items():
         for name in values:
             if not all_joints and name not in joints.values():
                 known = ", ".join(joints.values())
-                raise ValueError(f"{setting}: {name!r} is none of the robot's joints: {known}")
+                raise ValueError(f"{setting}: {name!r} is not one of the robot's joints: {known}")
 
 
 def _joint_key(

@@ -1,4 +1,4 @@
-"""A sink of smooth-operator that leaves each command for the teleoperator."""
+"""Sink that passes each command of a loop in this process to the teleoperator."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from smooth_operator.teleop.sinks.zmq_sink import FORMAT, command_message
 from smooth_operator.types import Side
 
 _VALID_S = 0.2
-"""How long a command may be acted upon [s], as over ZeroMQ."""
+"""Time for which a command is valid [s], as over ZeroMQ."""
 
 
 class MailboxSink(Sink):
-    """Commands as the messages that ZeroMQ would carry, without ZeroMQ."""
+    """Sink that passes on commands as the messages that ZeroMQ would carry, but without ZeroMQ."""
 
     def __init__(self, newest: Newest) -> None:
         self._newest = newest
@@ -29,19 +29,19 @@ class MailboxSink(Sink):
         return "lerobot"
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Remember the hands."""
+        """Store the hands."""
         self._sides = tuple(hands)
 
     def send(self, tick: Tick) -> None:
-        """Leave a command."""
+        """Pass on a command."""
         self._newest.take(command_message(tick, _VALID_S))
 
     def stalled(self, seconds: float) -> None:
-        """Leave word that no command comes."""
+        """Report that no commands come."""
         self._tell("stalled")
 
     def close(self) -> None:
-        """Leave word that no more commands come."""
+        """Report that no more commands will come."""
         self._tell("end")
 
     def _tell(self, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Where commands come from: a ZeroMQ socket, or a loop in this process."""
+"""Sources of commands: a ZeroMQ subscription, or a loop in this process."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import zmq
 from lerobot_teleoperator_smooth_operator.commands import Newest
 
 _POLL_MS = 50
-"""How often the thread looks whether it is to end [ms]."""
+"""Interval at which the thread checks whether it should end [ms]."""
 
 _PATIENCE_S = 5.0
-"""How long closing waits for a thread [s]."""
+"""Longest time that closing waits for a thread [s]."""
 
 
 class Feed(Protocol):
-    """A source of commands that is open."""
+    """An open source of commands."""
 
     @property
     def error(self) -> Exception | None:
-        """Why it ended; None while it is in order."""
+        """Error that ended it; None while it works."""
 
     def close(self) -> None:
-        """Give everything back; a second call does nothing."""
+        """Close it; a second call does nothing."""
 
 
 class Subscription:
-    """A thread that takes the messages of ``smooth-operator teleop --sink zmq``.
+    """Thread that receives the messages of ``smooth-operator teleop --sink zmq``.
 
-    Nobody need publish yet: ZeroMQ connects when somebody does, and again after a break.
+    The publisher may start later: ZeroMQ connects when it starts, and again after an interruption.
 
     Args:
         address: address of the publisher.
-        newest: where messages go.
+        newest: store for the messages.
 
     Raises:
-        ValueError: the address is none of ZeroMQ's.
+        ValueError: the text is not a ZeroMQ address.
     """
 
     def __init__(self, address: str, newest: Newest) -> None:
@@ -52,7 +52,7 @@ class Subscription:
             self._socket.close()
             self._context.term()
             raise ValueError(
-                f"{address!r} is no ZeroMQ address ({error}); expected one such as "
+                f"{address!r} is not a ZeroMQ address ({error}); expected an address such as "
                 "tcp://127.0.0.1:5556"
             ) from error
         self.error: Exception | None = None
@@ -79,17 +79,17 @@ class Subscription:
 
 
 class InProcess:
-    """The loop of smooth-operator on a thread of this process.
+    """Runs smooth-operator's loop on a thread of this process.
 
-    It compiles and solves here, in the process of LeRobot's own loop: on a busy machine a
-    ``teleop`` process of its own is smoother.
+    The loop compiles and solves in the process of LeRobot's own loop; on a busy machine, a separate
+    ``teleop`` process runs more smoothly.
 
     Args:
-        source: where hand frames come from, as after ``--source``.
-        newest: where commands go.
+        source: source of the hand frames, written as for ``--source``.
+        newest: store for the commands.
         hand: the robot hand.
         side: ``right``, ``left`` or ``both``.
-        method: method of retargeting; empty for the default.
+        method: retargeting method; empty for the default.
 
     Raises:
         ImportError: smooth-operator is not installed.

@@ -1,4 +1,4 @@
-"""The teleoperator: LeRobot's interface to the newest command."""
+"""LeRobot teleoperator that returns smooth-operator's newest command as an action."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 
 
 class _HandActions:
-    """Actions of one hand, with what was sent last.
+    """Actions of one hand, and the last values sent.
 
     Args:
         side: side of the hand.
@@ -44,20 +44,20 @@ class _HandActions:
         self.pose_keys = tuple(f"{prefix}{key}" for key in pose_keys(WRIST_NAMES[config.wrist]))
 
     def ready(self, command: Command | None) -> bool:
-        """True if a command has all that an action needs."""
+        """True if a command contains everything that an action needs."""
         return command is not None and (command.wrist is not None or not self.pose_keys)
 
     def arrange(self, command: Command) -> None:
-        """Find the joints in a command.
+        """Find the configured joints in a command.
 
         Raises:
-            ValueError: one is missing.
+            ValueError: a joint is missing.
         """
         joints = self._given or {name: name for name in command.names}
         missing = [name for name in joints if name not in command.names]
         if missing:
             raise ValueError(
-                f"joints: {', '.join(missing)} are not among those of the {self.side} hand that "
+                f"joints: {', '.join(missing)} are not joints of the {self.side} hand that "
                 f"smooth-operator drives: {', '.join(command.names)}"
             )
         self.keys = self._made(joints)
@@ -65,18 +65,18 @@ class _HandActions:
         self._names = command.names
 
     def hold(self) -> None:
-        """The next action is the last one."""
+        """Repeat the last action."""
         self._joints.hold()
         self._pose.hold()
 
     def follow(self, command: Command, now: float) -> None:
-        """The next action goes to a command."""
+        """Let the next action follow a command."""
         if command.names != self._names:  # teleop was started again, with another hand
             keys = self.keys
             self.arrange(command)
             if self.keys != keys:
                 raise ValueError(
-                    f"smooth-operator drives another {self.side} hand now; connect again, or name "
+                    f"smooth-operator now drives another {self.side} hand; connect again, or name "
                     "the joints in --teleop.joints"
                 )
         self._joints.follow([command.positions[i] for i in self._order], now)
@@ -86,7 +86,7 @@ class _HandActions:
             self._pose.hold()
 
     def action(self) -> dict[str, float] | None:
-        """The values by key; None before the first."""
+        """The action's values by key; None before the first command."""
         angles, pose = self._joints.values, self._pose.values
         if angles is None:
             return None
@@ -112,16 +112,16 @@ class _HandActions:
 
 
 class SmoothOperator(Teleoperator):
-    """A tracked human hand as a teleoperator, in the keys and unit of a robot.
+    """Teleoperator by a tracked human hand, with the keys and units of a robot.
 
-    ``get_action`` returns the newest command and never waits for one. A command that is older
-    than it may be (``valid_for_s`` in each message, 0.2 s) is not followed: the last action is
-    repeated for up to ``hold_s``, and then ``get_action`` raises. When commands come back within
-    that time, the action goes over to them in 0.5 s or more, without a jump.
+    ``get_action`` returns the newest command and never waits. A command that is no longer valid
+    (``valid_for_s`` in each message, 0.2 s) is not followed: the last action is repeated for up to
+    ``hold_s``, and then ``get_action`` raises. If commands resume within that time, the action
+    blends into them over at least 0.5 s, without a jump.
 
     Args:
         config: settings.
-        clock: time [s]; for tests.
+        clock: returns the time [s]; for tests.
 
     Raises:
         ValueError: a setting is wrong.
@@ -143,11 +143,11 @@ class SmoothOperator(Teleoperator):
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Key -> ``float``. Without ``joints`` the names are known after ``connect``."""
+        """Key -> ``float``. Without ``joints``, the keys are known only after ``connect``."""
         if not all(hand.keys for hand in self._hands):
             raise DeviceNotConnectedError(
-                "without --teleop.joints the joints are known once commands come: connect first, "
-                "or name them"
+                "without --teleop.joints, the joints are unknown until commands arrive: connect "
+                "first, or name the joints"
             )
         features: dict[str, type] = {}
         for hand in self._hands:
@@ -157,39 +157,39 @@ class SmoothOperator(Teleoperator):
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """Nothing is sent back."""
+        """Empty, since the teleoperator takes no feedback."""
         return {}
 
     @property
     def is_connected(self) -> bool:
-        """True if commands are received."""
+        """True while commands are received."""
         return self._feed is not None
 
     @property
     def is_calibrated(self) -> bool:
-        """Always: the operator is calibrated in smooth-operator."""
+        """Always True: the operator is calibrated in smooth-operator."""
         return True
 
     def calibrate(self) -> None:
-        """Says where the operator is calibrated: there is nothing to do here."""
+        """Print how the operator is calibrated; does nothing else."""
         logger.info(
             "smooth_operator needs no calibration by LeRobot. The operator's hand is calibrated by "
-            "smooth-operator calibrate, whose file teleop takes with --operator"
+            "smooth-operator calibrate; pass its file to teleop with --operator"
         )
 
     def configure(self) -> None:
         """Nothing to do."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Wait for the first command of each hand.
+        """Connect, and wait for the first command of each hand.
 
         Raises:
-            DeviceAlreadyConnectedError: it is connected.
-            DeviceNotConnectedError: no command came in time.
-            ValueError: a joint is unknown, or the address is none.
+            DeviceAlreadyConnectedError: it is already connected.
+            DeviceNotConnectedError: no command arrived in time.
+            ValueError: a joint is unknown, or the address is not valid.
         """
         if self._feed is not None:
-            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+            raise DeviceAlreadyConnectedError(f"{self} is already connected")
         config = self.config
         self._newest = Newest(self._clock)
         self._hands = _hands(config)
@@ -213,10 +213,10 @@ class SmoothOperator(Teleoperator):
         self._feed = feed
 
     def get_action(self) -> dict[str, float]:
-        """The newest command, as the robot wants it; does not wait.
+        """Return the newest command in the robot's keys and units, without waiting.
 
         Raises:
-            DeviceNotConnectedError: not connected, or no command has come for ``hold_s``.
+            DeviceNotConnectedError: it is not connected, or no command has arrived for ``hold_s``.
         """
         if self._feed is None:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first")
@@ -243,7 +243,7 @@ class SmoothOperator(Teleoperator):
 
     @property
     def modes(self) -> dict[str, str]:
-        """Side -> what the loop is doing with that hand: ``tracking``, ``holding``, ..."""
+        """Side -> mode of the loop for that hand: ``tracking``, ``holding``, ..."""
         found = {side: self._newest.command(side) for side in self._newest.sides}
         return {side: command.mode for side, command in found.items() if command is not None}
 
@@ -276,9 +276,9 @@ class SmoothOperator(Teleoperator):
             raise DeviceNotConnectedError(self._nothing())
 
     def _stale(self, hand: _HandActions, command: Command | None) -> str:
-        """Why a command may not be followed; empty if it may."""
+        """Reason why a command must not be followed; empty if it may be followed."""
         if command is None:
-            return "no command has come"
+            return "no command has arrived"
         silence = self._newest.silence(hand.side)
         if silence:
             return silence
@@ -293,14 +293,14 @@ class SmoothOperator(Teleoperator):
         missing = [hand.side for hand in self._hands if hand.side not in come]
         if missing and come:
             return (
-                f"{config.address} has commands for the {' and '.join(come)} hand, none for the "
-                f"{' and '.join(missing)} one; set --teleop.side={come[0]}, or start teleop with "
-                "--side both"
+                f"{config.address} sends commands for the {' and '.join(come)} hand, but not for "
+                f"the {' and '.join(missing)} hand; set --teleop.side={come[0]}, or start teleop "
+                "with --side both"
             )
         if not missing and config.wrist != "none":
             return (
-                f"commands come from {config.address}, but without the pose of a wrist; "
-                "use a source that tracks it, or --teleop.wrist=none"
+                f"commands arrive from {config.address}, but without the pose of a wrist; "
+                "use a source that tracks the wrist, or --teleop.wrist=none"
             )
         text = (
             f"no command at {config.address} within {config.timeout_s:g} s; start smooth-operator "
@@ -313,8 +313,8 @@ class SmoothOperator(Teleoperator):
         why = str(feed.error) if feed is not None and feed.error is not None else why
         for_s = f" for {silent:.1f} s" if math.isfinite(silent) else ""
         return (
-            f"no valid command for the {side} hand{for_s}: {why}; start teleop again, or have the "
-            "last action repeated for longer with --teleop.hold_s"
+            f"no valid command for the {side} hand{for_s}: {why}; start teleop again, or repeat "
+            "the last action for longer with --teleop.hold_s"
         )
 
     def _report(self, held: list[str]) -> None:
@@ -324,12 +324,12 @@ class SmoothOperator(Teleoperator):
                 " and ".join(held),
             )
         elif self._warned and not held:
-            logger.warning("commands come again")
+            logger.warning("commands have resumed")
         self._warned = bool(held)
 
 
 def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
-    """The hands that the settings ask for.
+    """Create the hands that the settings request.
 
     Raises:
         ValueError: a setting is wrong.
