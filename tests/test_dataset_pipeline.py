@@ -443,7 +443,10 @@ def test_sources_of_every_kind(folder, tmp_path):
     ("text", "says"),
     [
         ("name\na\n", "needs the column 'path'"),
-        ("t,x,y\n0,0.1,0.2\n1,0.1,0.2\n", "a table, not a recording; .*needs the column 'path'"),
+        (
+            "t,x,y\n0,0.1,0.2\n1,0.1,0.2\n",
+            "a table without the header of landmarks; .*needs the column 'path'",
+        ),
         ("path,side\na,up\n", "side must be 'right' or 'left'"),
         ("path,rate\na,fast\n", "rate must be a number of frames per second, not 'fast'"),
     ],
@@ -539,7 +542,7 @@ def test_wrists_in_the_frame_of_the_camera(folder):
     wrist = clip.hands["left"].T_world_wrist
     found = seen.hands["left"].T_world_wrist
     np.testing.assert_allclose(poses.compose(camera, found), wrist, atol=1e-12)
-    with pytest.raises(RecordingError, match="frame of the camera only"):
+    with pytest.raises(RecordingError, match="only in the frame of the camera"):
         in_frame(seen, "world")
     assert in_frame(seen, None) is seen
     assert in_frame(seen, "camera") is seen

@@ -35,7 +35,7 @@ _HINGE: Final = np.array([0.0, 0.0, -1.0])  # of the top part, in the object's f
 
 
 class Arctic:
-    """Files of sequences, ``raw_seqs/SUBJECT/NAME.mano.npy``."""
+    """Reader of ARCTIC's sequences, ``raw_seqs/SUBJECT/NAME.mano.npy``."""
 
     what = "a sequence of ARCTIC"
     expects = (
@@ -51,7 +51,7 @@ class Arctic:
         return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """List the sequence; none for its other files."""
+        """List the sequence; yields nothing for its other files."""
         if path.name.endswith(_SUFFIX):
             name = path.name.removesuffix(_SUFFIX)
             yield ClipRef(name, path, layout="arctic", size=path.stat().st_size)
@@ -108,7 +108,8 @@ class Arctic:
 
 
 def _parts(rows: np.ndarray, name: str, path: Path, options: ReadingOptions) -> list[Thing]:
-    """The bottom, and the top, which the first number of a row turns about the hinge [rad]."""
+    """The object's bottom, and its top, which is rotated about the hinge by a row's first number
+    [rad]."""
     folder = options.objects or nearby(path.resolve().parent, "meta/object_vtemplates")
     base = np.concatenate([rows[:, 4:] * _MM, poses.from_rotation_vectors(rows[:, 1:4])], axis=1)
     turn = poses.from_rotation_vectors(rows[:, :1] * _HINGE)

@@ -60,7 +60,7 @@ _CLASSES: Final = (
 
 
 class DexYcb:
-    """Folders of sequences, ``SUBJECT/TIME/pose.npz``."""
+    """Reader of DexYCB's sequences, folders with ``SUBJECT/TIME/pose.npz``."""
 
     what = "a sequence of DexYCB"
     expects = (
@@ -69,7 +69,7 @@ class DexYcb:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is the folder of a sequence."""
+        """True if a path is the folder of a sequence."""
         return (path / "meta.yml").is_file() and (path / "pose.npz").is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
@@ -99,7 +99,7 @@ class DexYcb:
         shapes = _texts(meta["mano_calib"], f"{ref.path}/meta.yml, mano_calib")
         if not len(sides) == len(shapes) == hands.shape[1] or len(set(sides)) < len(sides):
             raise RecordingError(
-                f"{path}: it has {hands.shape[1]} hands, but meta.yml the sides {sides[:4]}"
+                f"{path}: it has {hands.shape[1]} hands, but meta.yml lists the sides {sides[:4]}"
             )
         placed, shape = {}, {}
         for number, (text, betas) in enumerate(zip(sides, shapes, strict=True)):
@@ -169,7 +169,7 @@ def _cameras(calibration: Path, name: str) -> tuple[dict[str, np.ndarray], str]:
 
 def _texts(value: Any, where: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise RecordingError(f"{where}: expected a list of texts, not {type(value).__name__}")
+        raise RecordingError(f"{where}: expected a list of strings, not {type(value).__name__}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Clips of EgoHandKit: both hands of a video in the camera's frame, from ``hand_tracking.parquet``.
+"""EgoHandKit: both hands of a video in the camera's frame, from ``hand_tracking.parquet``.
 
 Source: ``hmr_backends/utils/hand_tracking_parquet.py`` of RoboCoin-BAAI/EgoHandKit.
 """
@@ -36,7 +36,7 @@ _NUMBERS: Final = 3 * NUM_LANDMARKS
 
 
 class EgoHandKit:
-    """One file, one clip."""
+    """Reader of EgoHandKit's files; each file is one clip."""
 
     what = "hand_tracking.parquet of EgoHandKit"
     expects = (
@@ -45,7 +45,7 @@ class EgoHandKit:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a Parquet file with the columns of both hands."""
+        """True if a path is a Parquet file with the columns of both hands."""
         if path.suffix.lower() != ".parquet" or not path.is_file():
             return False
         try:
@@ -64,8 +64,8 @@ class EgoHandKit:
         """Read the hands in the frame of the camera, with the wrists from the palm's landmarks.
 
         Raises:
-            RecordingError: it is damaged, lacks a column, or has another frame or order; it has no
-                times and there is no rate.
+            RecordingError: the file is damaged, lacks a column, or has another frame or order of
+                landmarks; or it has no times and no rate was given.
             MissingExtraError: pyarrow is not installed.
         """
         path = ref.path
@@ -121,7 +121,7 @@ class EgoHandKit:
 
 
 def _name(path: Path) -> str:
-    """Name of the sequence's folder, whose subfolder ``final`` may have the file."""
+    """Name of the sequence's folder; the file may be in its subfolder ``final``."""
     folder = path.parent
     if path.stem != "hand_tracking":
         return path.stem
@@ -138,7 +138,7 @@ def _points(table: Any, side: Side, path: Path) -> Float[np.ndarray, "T 21 3"]:
         flat = flat.flatten()  # drops rows of null
     if not pa.types.is_floating(flat.type) or len(flat) != there.sum() * _NUMBERS:
         raise RecordingError(
-            f"{path}: the column {name!r} must hold 21 x 3 numbers a row, not "
+            f"{path}: the column {name!r} must have 21 x 3 numbers per row, not "
             f"{str(table.schema.field(name).type)[:80]}"
         )
     points[there] = flat.to_numpy(zero_copy_only=False).reshape(-1, _NUMBERS)
@@ -148,7 +148,7 @@ def _points(table: Any, side: Side, path: Path) -> Float[np.ndarray, "T 21 3"]:
 
 
 def _stamps(table: Any, path: Path, rate: float | None) -> Float[np.ndarray, " T"]:
-    """Stamps of the file; frame numbers over the rate if a frame lacks one."""
+    """Stamps of the file; if a frame has none, frame numbers divided by the rate."""
     times = table.column_names.count("timestamp_ns") and table.column("timestamp_ns")
     if times and table.num_rows and not times.null_count:
         stamps = _column(table, "timestamp_ns", path) * 1e-9
@@ -161,13 +161,13 @@ def _stamps(table: Any, path: Path, rate: float | None) -> Float[np.ndarray, " T
 
 
 def _column(table: Any, name: str, path: Path, *, nulls: bool = False) -> Float[np.ndarray, " T"]:
-    """A column of one number a row; NaN for null."""
+    """Reads a column with one number per row; NaN for null."""
     pa, values = arrow(), _combined(table, name)
     kind = values.type
     numeric = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
     if not any(numeric) and not (nulls and pa.types.is_null(kind)):
         raise RecordingError(
-            f"{path}: the column {name!r} must hold a number a row, not {str(kind)[:80]}"
+            f"{path}: the column {name!r} must have one number per row, not {str(kind)[:80]}"
         )
     if values.null_count and not nulls:
         raise RecordingError(f"{path}: the column {name!r} has {values.null_count} null values")

@@ -8,7 +8,7 @@
 Unpack the tar shards in the folder itself, which already has the meshes.
 
 ==========================  =============  ========================================================
-``fps``                     ()             frames a second, the same for all clips
+``fps``                     ()             frames per second, the same for all clips
 ``mano_SIDE_wrist_pos``     (T, 3)         wrist [m], z-up world
 ``mano_SIDE_wrist_rot``     (T, 3, 3)      axes x to the fingers, y to the thumb on a right hand
                                            and away from it on a left one, z out of the back
@@ -54,11 +54,11 @@ _JOINTS: Final = dict(
 
 
 class _Writer(FileShards):
-    """Human hands for the own retargeting of that program.
+    """Writes human hands for FlashDexRetarget's own retargeting.
 
-    It holds human hands for FlashDexRetarget's own retargeting: no commands, joints of the
-    robot, validity, confidence, camera, video or figures, and one object a hand. Clips are
-    brought to 60 frames a second, gaps of up to 20 % filled.
+    The files contain no commands, robot joints, validity, confidence, camera, video or quality
+    metrics, and one object per hand. Clips are resampled to 60 frames per second, and gaps of
+    up to 20 % are filled.
     """
 
     def __init__(self, output: Path, options: WritingOptions) -> None:
@@ -88,8 +88,8 @@ class _Writer(FileShards):
             if mesh is None:
                 item = clip.clip.objects[scene.holds[side]].name
                 raise RecordingError(
-                    f"{name}: the mesh of its object {item!r} is not known, and FlashDexRetarget "
-                    "needs it; give the folder of the meshes"
+                    f"{name}: the mesh of its object {item!r} is unknown, but FlashDexRetarget "
+                    "needs it; set the folder of the meshes"
                 )
             wrist = scene.wrists[side]
             if len(wrist) < 2:

@@ -31,7 +31,7 @@ _PARAMS: Final = ("global_orient", "hand_pose", "transl")
 
 
 class Grab:
-    """Files of sequences, ``grab/SUBJECT/NAME.npz``."""
+    """Reader of GRAB's sequences, ``grab/SUBJECT/NAME.npz``."""
 
     what = "a sequence of GRAB"
     expects = (
@@ -40,7 +40,7 @@ class Grab:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is an ``.npz`` with GRAB's tables, or the folder of its tools."""
+        """True if a path is an ``.npz`` file with GRAB's tables, or the folder of its tools."""
         if (path / "subject_meshes").is_dir():
             return True
         if path.suffix != ".npz" or not path.is_file():
@@ -51,7 +51,7 @@ class Grab:
             return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """List the sequence; none in the tools."""
+        """List the sequence; yields nothing for the folder of tools."""
         if path.is_file():
             yield ClipRef(path.stem, path, layout="grab", size=path.stat().st_size)
 
@@ -114,7 +114,7 @@ def _object(held: dict[Any, Any], root: Path, options: ReadingOptions, where: st
 
 
 def _inside(root: Path, relative: str | None) -> Path | None:
-    """Path of a file; None if it leaves the data set's folder."""
+    """Path of a file; None if it is outside the data set's folder."""
     if relative is None:
         return None
     parts = Path(relative.replace("\\", "/")).parts
@@ -135,7 +135,7 @@ def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
 
     size = check_plain_file(path)
     if size > _MOST_MESH_BYTES:
-        raise RecordingError(f"{path}: it has {size} bytes, more than a mesh of a hand may have")
+        raise RecordingError(f"{path}: it has {size} bytes, too many for a mesh of a hand")
     try:
         with path.open("rb") as stream:
             mesh: Any = trimesh.load(stream, file_type=path.suffix[1:], process=False)

@@ -34,7 +34,7 @@ _HANDS: Final[dict[str, Side]] = {
 
 
 class Ho3d:
-    """Folders of sequences, ``train/SEQUENCE/meta/0000.pkl``."""
+    """Reader of HO-3D's sequences, folders with ``train/SEQUENCE/meta/0000.pkl``."""
 
     what = "a sequence of HO-3D or H2O-3D"
     expects = (
@@ -43,14 +43,14 @@ class Ho3d:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a folder with numbered pickles in ``meta``, or next to such folders."""
+        """True if a path is a folder with numbered pickles in ``meta``, or next to such folders."""
         if path.name in _OTHERS and (path.parent / "train").is_dir():
             return True
         folder = path / "meta"
         return folder.is_dir() and next(_frames(folder), None) is not None
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """List the sequence; none in the other folders."""
+        """List the sequence; yields nothing for the other folders."""
         if path.name in _OTHERS:
             return
         yield ClipRef(
@@ -142,7 +142,7 @@ def _object(
 
 
 def _column(value: Any, where: str) -> np.ndarray:
-    """(3,) rotation from one of shape (3,) or (3, 1)."""
+    """Reads a rotation of shape (3,) or (3, 1) as (3,)."""
     try:
         return array(value, where, (3, 1))[:, 0]
     except RecordingError:

@@ -1,4 +1,4 @@
-"""HOT3D: two hands and several objects, recorded with Aria glasses or a Quest 3; its MANO part.
+"""HOT3D (its MANO part): two hands and several objects, recorded with Aria glasses or a Quest 3.
 
 Source: Banerjee et al., *HOT3D: Hand and Object Tracking in 3D from Egocentric Multi-View Videos*,
 CVPR 2025, and https://github.com/facebookresearch/hot3d. A folder of a sequence has
@@ -58,7 +58,7 @@ _COLUMNS: Final = (
 
 
 class Hot3d:
-    """Folders of sequences."""
+    """Reader of HOT3D's folders of sequences."""
 
     what = "a sequence of HOT3D"
     expects = (
@@ -67,7 +67,7 @@ class Hot3d:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a folder with MANO hands of HOT3D."""
+        """True if a path is a folder with MANO hands of HOT3D."""
         return (path / _HANDS).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
@@ -125,7 +125,7 @@ def _headset(folder: Path) -> str:
 
 
 def _lines(path: Path) -> tuple[np.ndarray, list[dict[str, Any]]]:
-    """(T,) times [ns] and the hands at each, without repeated ones."""
+    """(T,) times [ns] and the hands at each time, without repeated times."""
     times: list[int] = []
     lines: list[dict[str, Any]] = []
     try:
@@ -157,7 +157,7 @@ def _lines(path: Path) -> tuple[np.ndarray, list[dict[str, Any]]]:
 
 
 def _hand(lines: list[dict[str, Any]], number: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 22) positions, quaternions and 15 coefficients, and (T, 10) shapes; NaN where unseen."""
+    """(T, 22) positions, quaternions and 15 coefficients, and (T, 10) shapes; NaN if not seen."""
     rows, betas = np.full((len(lines), 22), np.nan), np.full((len(lines), 10), np.nan)
     for row, beta, held in zip(rows, betas, lines, strict=True):
         if held.get(number) is None:
@@ -220,7 +220,7 @@ def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
 
 
 def _nearest(times: np.ndarray, stamps: np.ndarray, rows: dict[int, list[float]]) -> np.ndarray:
-    """(T, 7) poses nearest in time; NaN where none is near."""
+    """(T, 7) poses nearest in time; NaN where no pose is close enough."""
     values = np.array([rows[time] for time in stamps.tolist()])
     after = np.clip(np.searchsorted(stamps, times), 0, len(stamps) - 1)
     before = np.maximum(after - 1, 0)

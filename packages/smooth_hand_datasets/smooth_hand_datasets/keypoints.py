@@ -1,4 +1,4 @@
-"""Human hands and objects without gaps, for SPIDER and FlashDexRetarget.
+"""Base of the writers for SPIDER and FlashDexRetarget: hands and objects without gaps.
 
 Both programs read hands in a z-up world at one frame rate, accept no missing value, and keep the
 mesh of each object in a folder. Short gaps are filled by interpolation. The scene is moved
@@ -28,7 +28,7 @@ from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ObjectTrack
 from smooth_operator.types import Side
 
 MOST_MISSING: Final = 0.2
-"""Largest share of frames without a hand or an object; these are filled by interpolation."""
+"""Largest share of frames without a hand or an object; such frames are filled by interpolation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Scene:
     Attributes:
         points: (T, 21, 3) landmarks [m] by side.
         wrists: (T, 7) poses by side.
-        objects: (T, 7) poses of each object, and the folder of its mesh, None without one.
+        objects: (T, 7) poses of each object, and the folder of its mesh, or None without a mesh.
         holds: index of the object nearest to the hand, by side; empty without objects.
         filled: share of frames with interpolated values.
     """
@@ -51,7 +51,8 @@ class Scene:
 
 
 class FileShards(TarShards):
-    """Files at the paths that another program reads, in tar shards or directly in the folder."""
+    """Writes files at the paths that another program reads, in tar shards or directly in the
+    folder."""
 
     folder = "shards"
 
@@ -66,7 +67,7 @@ class FileShards(TarShards):
             super()._begin(number)
 
     def add_file(self, name: str, content: bytes) -> None:
-        """Adds a file to the shard, or writes it to its place."""
+        """Adds a file to the shard, or writes it to its final path."""
         self._added += len(content)
         if self.options.loose:
             self._put(name, content)
@@ -96,18 +97,18 @@ class FileShards(TarShards):
 
         Args:
             clip: the clip.
-            rate: frames a second.
+            rate: frames per second.
             folder: folder of the objects' meshes in the output.
 
         Raises:
-            RecordingError: hands are not known in a z-up world, too much is missing, or a mesh
-                can't be read.
+            RecordingError: the hands' poses are unknown in a z-up world, too many frames lack a
+                hand or an object, or a mesh can't be read.
         """
         name = clip.clip.name
         if clip.clip.world is None or clip.clip.world == CAMERA:
             raise RecordingError(
-                f"{name}: its wrists are not known in a world with gravity along -z, which this "
-                "format needs; use a layout with poses of the camera"
+                f"{name}: its wrists are unknown in a world with gravity along -z, which this "
+                "format needs; use a layout with camera poses"
             )
         human = resampled(clip, rate).clip
         points: dict[Side, np.ndarray] = {}
@@ -126,7 +127,7 @@ class FileShards(TarShards):
             wrists[side] = grid.poses(hand.T_world_wrist[good])
             missing |= ~good
         if not points:
-            raise RecordingError(f"{name}: no hand is known in its world; leave it out")
+            raise RecordingError(f"{name}: the world poses of its hands are unknown; leave it out")
         tracks: list[tuple[np.ndarray, str | None]] = []
         lowest = np.inf
         for item in human.objects:
@@ -178,13 +179,13 @@ def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]
     except Exception as error:  # trimesh documents no list of errors
         raise RecordingError(
             f"{path}: can't be read as the mesh of an object ({type(error).__name__}: "
-            f"{reason(error)}); give an .obj, .ply, .stl or .glb file with faces"
+            f"{reason(error)}); use an .obj, .ply, .stl or .glb file with faces"
         ) from error
     return "".join(lines).encode(), hull
 
 
 def _filled(human: Clip, good: np.ndarray, what: str) -> Grid:
-    """Interpolation of a hand or an object from its known frames to all frames of a clip.
+    """Makes the interpolation from the frames in which something is known to all frames of a clip.
 
     Raises:
         RecordingError: it is unknown in too many frames.
@@ -192,14 +193,15 @@ def _filled(human: Clip, good: np.ndarray, what: str) -> Grid:
     share = 1.0 - float(good.mean())
     if share > MOST_MISSING:
         raise RecordingError(
-            f"{human.name}: {what} is not known in {share:.0%} of the frames, and at most "
-            f"{MOST_MISSING:.0%} are filled; cut the clip to the frames in which it is tracked"
+            f"{human.name}: {what} is unknown in {share:.0%} of the frames, but at most "
+            f"{MOST_MISSING:.0%} can be filled; cut the clip to the frames in which it is tracked"
         )
     return Grid.at(human.stamps[good], human.stamps)
 
 
 def _held(wrists: Mapping[Side, np.ndarray], tracks: list[np.ndarray]) -> dict[Side, int]:
-    """Index of the object of each hand: the nearest on average, each object once if possible."""
+    """Index of the object that each hand holds: the nearest on average, each object once if
+    possible."""
     if not tracks:
         return {}
     sides = list(wrists)

@@ -1,9 +1,10 @@
-"""Parameters of MANO in the forms of smplx, manopth and HaMeR, in an ``.npz`` or a pickle.
+"""Reader of MANO parameters in the forms of smplx, manopth and HaMeR, from ``.npz`` or pickle
+files.
 
-A file has one hand, with its side, or two: in tables ``right`` and ``left``, or with names that
-begin with ``right_`` and ``left_``. It must state what the numbers do not show: whether zeros are
-the flat hand (``flat_hand_mean``), and whether coefficients are those of principal components
-(``use_pca``). ``docs/reference/data-sets.md`` lists the names.
+A file contains one hand, with its side, or two hands: in tables ``right`` and ``left``, or with
+names that begin with ``right_`` and ``left_``. It must state what the numbers do not show: whether
+zeros mean the flat hand (``flat_hand_mean``), and whether the numbers are coefficients of principal
+components (``use_pca``). ``docs/reference/data-sets.md`` lists the names.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ _RIGID: Final = 0.02
 
 
 class Mano:
-    """Files with parameters."""
+    """Reader of files with MANO parameters."""
 
     generic = True  # other layouts have such names, too, so it is asked after them
     what = "parameters of MANO"
@@ -63,7 +64,7 @@ class Mano:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it has the names of a pose and a shape."""
+        """True if a file has the names of a pose and a shape."""
         if not path.is_file():
             return False
         if path.suffix == ".npz":
@@ -124,7 +125,7 @@ def _complete(names: set[str]) -> bool:
 def _parts(
     held: dict[Any, Any], where: str, side: Side | None
 ) -> Iterator[tuple[Side, dict[str, Any]]]:
-    """The parameters of each hand, and those that the file has for both.
+    """Yields the parameters of each hand, including those that the file has for both hands.
 
     Args:
         side: side of the hand, for a file with one hand that does not state its side.
@@ -150,8 +151,8 @@ def _parts(
     labels = [held[key] for key in _SIDE if key in held]
     if not labels and side is None:
         raise RecordingError(
-            f"{where}: it does not say which hand it is; say --side right or --side left, or save "
-            "side in it, or both hands with names that begin with right_ and left_"
+            f"{where}: it does not say which hand it is; use --side right or --side left, or save "
+            "side in the file, or save both hands with names that begin with right_ and left_"
         )
     yield (
         _side(labels[0], where) if labels else side or "right",
@@ -185,7 +186,8 @@ class _Parameters:
     confidence: np.ndarray | None
 
     def placed(self, folder: Path | None, side: Side) -> PlacedHand:
-        """Places the hand. A left hand of a mirrored image is a right one, mirrored back."""
+        """Places the hand. A left hand in a mirrored image is a right hand, so it is mirrored
+        back."""
         mirrored = self.mirrored and side == "left"
         model = load_model(folder, "right" if mirrored else side)
         if self.rotations_or_pose.ndim == 4:
@@ -223,16 +225,18 @@ def _parameters(part: Mapping[str, Any], where: str, side: Side) -> _Parameters:
     matrices = pose.ndim == 4
     pca = False if matrices else _flag(part, "use_pca", label, default=pose.shape[1] != 45)
     if not matrices and not pca and pose.shape[1] != 45:
-        raise RecordingError(f"{label}: hand_pose has {pose.shape[1]} numbers, 45 without use_pca")
+        raise RecordingError(
+            f"{label}: hand_pose has {pose.shape[1]} numbers; without use_pca, it needs 45"
+        )
     if not matrices and pca and part.get("use_pca") is None:
         raise RecordingError(
             f"{label}: hand_pose has {pose.shape[1]} numbers; if they are coefficients of "
-            "principal components, say so with use_pca = True"
+            "principal components, set use_pca = True"
         )
     if not matrices and part.get("flat_hand_mean") is None:
         raise RecordingError(
-            f"{label}: it does not say whether zeros are the flat hand: add flat_hand_mean, "
-            "True or False as it was given to smplx (default False) or manopth (default True)"
+            f"{label}: it does not say whether zeros mean the flat hand: add flat_hand_mean, "
+            "True or False as passed to smplx (default False) or manopth (default True)"
         )
     flat = True if matrices else _flag(part, "flat_hand_mean", label, default=True)
     centre = part.get("center_idx")
@@ -242,7 +246,7 @@ def _parameters(part: Mapping[str, Any], where: str, side: Side) -> _Parameters:
 
 
 def _pose(part: Mapping[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
-    """Root and fingers: both as axis times angle or coefficients, or both as matrices."""
+    """Reads root and fingers: both as axis times angle or coefficients, or both as matrices."""
     whole = next((part[key] for key in _WHOLE if part.get(key) is not None), None)
     if whole is not None:
         rows = array(whole, f"{label}, poses", (None, 48))
@@ -259,7 +263,9 @@ def _pose(part: Mapping[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
         pose = array(pose, f"{label}, hand_pose", (None, 15, 3)).reshape(-1, 45)
     pose = array(pose, f"{label}, hand_pose", (None, None))
     if not 0 < pose.shape[1] <= 45:
-        raise RecordingError(f"{label}: hand_pose has {pose.shape[1]} numbers a frame, not 1 to 45")
+        raise RecordingError(
+            f"{label}: hand_pose has {pose.shape[1]} numbers per frame, not 1 to 45"
+        )
     return array(root.reshape(len(root), -1), f"{label}, global_orient", (None, 3)), pose
 
 
@@ -268,7 +274,7 @@ def _check_turns(turns: np.ndarray, label: str) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)) > _RIGID
         if off.any() or (np.linalg.det(finite) < 0).any():
-            raise RecordingError(f"{label}: it has matrices that are no rotations")
+            raise RecordingError(f"{label}: it has matrices that are not rotations")
 
 
 def _first(part: Mapping[str, Any], names: tuple[str, ...], label: str) -> np.ndarray:

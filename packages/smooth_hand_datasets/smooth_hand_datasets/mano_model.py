@@ -37,8 +37,8 @@ TIPS: Final[dict[tuple[Tips, Side], tuple[int, ...]]] = {
 """Vertices at the tips of thumb, index, middle, ring and pinky in the two libraries."""
 
 WHERE_FROM: Final = (
-    "register at https://mano.is.tue.mpg.de, download 'Models & Code' (mano_v1_2.zip) and give the "
-    "folder that has MANO_RIGHT.pkl and MANO_LEFT.pkl"
+    "register at https://mano.is.tue.mpg.de, download 'Models & Code' (mano_v1_2.zip) and name the "
+    "folder that contains MANO_RIGHT.pkl and MANO_LEFT.pkl"
 )
 
 _VERTICES: Final = 778
@@ -62,7 +62,7 @@ class PlacedHand:
     """A hand in a world, frame by frame.
 
     Attributes:
-        landmarks: (T, 21, 3) [m], in the order of ``LANDMARKS``; NaN where a parameter is.
+        landmarks: (T, 21, 3) [m], in the order of ``LANDMARKS``; NaN where a parameter is NaN.
         T_world_wrist: (T, 7) pose of the wrist, with the axes of this project.
     """
 
@@ -72,7 +72,7 @@ class PlacedHand:
 
 @dataclass(frozen=True, eq=False)
 class ManoModel:
-    """A hand of one side, reduced to its joints and fingertips.
+    """MANO model of one side, reduced to its joints and fingertips.
 
     Attributes:
         side: side of the hand.
@@ -103,13 +103,13 @@ class ManoModel:
         pca: bool = False,
         flat_hand_mean: bool,
     ) -> Float[np.ndarray, "T 16 3 3"]:
-        """Computes the rotations of the joints in their parents.
+        """Computes the rotations of the joints relative to their parents.
 
         Args:
             root: (T, 3) axis times angle of the whole hand [rad].
             pose: (T, 45) axis times angle of the fingers' joints, or (T, n) coefficients.
-            pca: whether they are coefficients of the first n principal components.
-            flat_hand_mean: whether zeros are the flat hand; if not, the mean pose is added.
+            pca: whether ``pose`` has coefficients of the first n principal components.
+            flat_hand_mean: whether zeros mean the flat hand; if not, the mean pose is added.
         """
         full = pose @ self.components[: pose.shape[1]] if pca else pose
         full = full if flat_hand_mean else full + self.mean
@@ -129,9 +129,9 @@ class ManoModel:
         """Computes landmarks and wrists.
 
         Args:
-            rotations: of the joints in their parents, the root's in the world.
+            rotations: rotations of the joints relative to their parents; the root's in the world.
             betas: (10,) shape, or (T, 10) if it differs between frames.
-            translation: [m].
+            translation: (T, 3) translation [m].
             moves: what the translation moves: the model's origin, as in smplx and manopth, or the
                 wrist joint, as with ``center_idx=0`` of manopth.
             tips: library of the fingertips.
@@ -202,15 +202,15 @@ def _quaternions(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 4
 
 
 def model_path(folder: Path | None, side: Side) -> Path:
-    """Path of the user's model file of a side.
+    """Path of the user's model file for a side.
 
     Raises:
-        RecordingError: there is none; the message names the source.
+        RecordingError: there is no such file; the message says where to get it.
     """
     name = f"MANO_{side.upper()}"
     if folder is None:
         raise RecordingError(
-            f"hands in MANO's parameters need {name}.pkl, which may not be redistributed: "
+            f"hands given by MANO parameters need {name}.pkl, which may not be redistributed: "
             f"{WHERE_FROM}, with --mano FOLDER (in Python: ReadingOptions(mano=...))"
         )
     places = [folder / inner for inner in ("", "models", "mano", "mano/models")]
@@ -218,7 +218,7 @@ def model_path(folder: Path | None, side: Side) -> Path:
         for suffix in (".pkl", ".npz"):
             if (place / f"{name}{suffix}").is_file():
                 return place / f"{name}{suffix}"
-    raise RecordingError(f"{folder}: no {name}.pkl or {name}.npz in it; {WHERE_FROM}")
+    raise RecordingError(f"{folder}: it contains no {name}.pkl or {name}.npz; {WHERE_FROM}")
 
 
 def load_model(folder: Path | None, side: Side, *, mirrored_shape: bool = False) -> ManoModel:
@@ -276,7 +276,7 @@ def _loaded(path: Path, side: Side, changed: int) -> ManoModel:
 
 
 def _check(model: ManoModel, where: str) -> None:
-    """Refuses a hand whose shape is not in metres, or is that of the other side."""
+    """Raises RecordingError if a hand's shape is not in metres or belongs to the other side."""
     joints = model.regressor @ model.template
     palm = float(np.linalg.norm(joints[4] - joints[0]))
     if not 0.05 < palm < 0.14:

@@ -37,7 +37,7 @@ _TO_WORLD: Final = world_pose(WORLD_AXES["openxr"])
 
 
 class OakInk2:
-    """Files of sequences, ``anno_preview/TOKEN.pkl``."""
+    """Reader of OakInk2's sequences, ``anno_preview/TOKEN.pkl``."""
 
     what = "a sequence of OakInk2"
     expects = (
@@ -46,7 +46,7 @@ class OakInk2:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a pickle in a folder of annotations, with the name of a sequence."""
+        """True if a path is a pickle with the name of a sequence in a folder of annotations."""
         return (
             path.suffix == ".pkl"
             and "++" in path.name
@@ -110,7 +110,7 @@ class OakInk2:
 def _ids(value: Any, where: str) -> np.ndarray:
     ids = array(value, where, (None,), finite=True).astype(np.int64)
     if len(ids) and (np.diff(ids) <= 0).any():
-        raise RecordingError(f"{where}: numbers of frames must increase")
+        raise RecordingError(f"{where}: frame numbers must increase")
     return ids
 
 
@@ -154,7 +154,7 @@ def _mesh(folder: Path | None, name: str) -> Path | None:
 
 
 def _camera(held: dict[Any, Any], ids: np.ndarray, where: str) -> np.ndarray | None:
-    """Poses of the egocentric camera, held between its frames, which come at 30 Hz."""
+    """Poses of the egocentric camera, whose 30 Hz values are held between its frames."""
     names, extrinsics = held.get("cam_def"), held.get("cam_extr")
     if not isinstance(names, dict) or not isinstance(extrinsics, dict):
         return None

@@ -1,6 +1,6 @@
-"""Clips from the hands that HaMeR, WiLoR, WiLoR-mini and related tools detect in a video.
+"""Reader of hands that HaMeR, WiLoR, WiLoR-mini and related tools detect in a video.
 
-The models have no file format of their own. These forms are in use, as JSON, JSON lines, pickle or
+The models do not define a file format. These forms are in use, as JSON, JSON lines, pickle or
 ``.npz``:
 
 - a list of frames, each a list of hands, each a table: ``is_right``, and in ``wilor_preds``, or in
@@ -49,7 +49,7 @@ _WORDS: Final = (
     *("wilor_preds", "pred_keypoints_3d", "joints_cam"),
     *("j3d.right", "j3d.left", "right_pos", "left_pos"),
 )
-"""Each file has one of these near its start."""
+"""Words of which each file has at least one near its start."""
 _HEAD_BYTES: Final = 1 << 18
 _MOST_JSON: Final = 64_000_000
 _MOST_FRAMES: Final = 1_000_000
@@ -61,12 +61,13 @@ _POINTS: Final = ("pred_keypoints_3d", "keypoints_3d", "joints_3d")
 _PLACE: Final = ("pred_cam_t_full", "cam_t_full")
 _CONFIDENCE: Final = ("confidence", "score", "conf")
 _FRAME_BYTES: Final = 4 * 8 * 3 * NUM_LANDMARKS
-"""Memory that a frame of the clip takes: landmarks of both hands, as detected and as placed."""
+"""Memory that a frame of the clip takes [bytes]: landmarks of both hands, as detected and
+placed."""
 
 
 @dataclass
 class _Hand:
-    """Detections of one side: values by frame."""
+    """Detections of the hand of one side: frame -> values."""
 
     points: dict[int, Float[np.ndarray, "21 3"]] = field(default_factory=dict)
     place: dict[int, Float[np.ndarray, "3"]] = field(default_factory=dict)
@@ -106,7 +107,8 @@ class _Detections:
         place: np.ndarray | None = None,
         confidence: float = np.nan,
     ) -> None:
-        """Adds a detected hand. If a frame has two of one side, keeps the more confident one."""
+        """Adds a detected hand. If a frame has two hands of one side, keeps the more confident
+        one."""
         hand = self.hands[side]
         if frame in hand.points:
             self.spare += 1
@@ -117,12 +119,12 @@ class _Detections:
         hand.confidence[frame] = confidence
 
     def numbers(self, value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
-        """Returns the numbers of a shape; further axes of one in front are dropped."""
+        """Reads numbers of a given shape; drops additional leading axes of length one."""
         return array(value, f"{self.path}, {what}", shape, batch=True)
 
 
 class Predictions:
-    """One file, one clip."""
+    """Reader of detections; each file is one clip."""
 
     what = "landmarks that HaMeR, WiLoR or HaWoR detect in a video"
     expects = (
@@ -132,7 +134,7 @@ class Predictions:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if its start has a name that only these files have."""
+        """True if the start of a file has a name that only these files have."""
         suffix = path.suffix.lower()
         if suffix not in (*_PICKLES, *_TEXTS, ".npz") or not path.is_file():
             return False
@@ -146,15 +148,15 @@ class Predictions:
         return any(word.encode() in head for word in _WORDS)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """Yields the file as one clip."""
         yield ClipRef(path.stem, path, layout="predictions", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Read the hands in the camera's frame; frames without a hand are NaN.
 
         Raises:
-            RecordingError: the file has another form or is damaged; there is no rate; the shape of
-                a hand is that of the other side.
+            RecordingError: the file has another form or is damaged, there is no rate, or the shape
+                of a hand is that of the other side.
         """
         path, detected = ref.path, _Detections(ref.path)
         _collect(detected, _load(path), self.expects)
@@ -240,7 +242,9 @@ def _collect(detected: _Detections, value: Any, expects: str) -> None:
         value = frames
     if isinstance(value, list | tuple):
         return _of_frames(detected, ((None, frame) for frame in value))
-    raise RecordingError(f"{detected.path}: it holds a {type(value).__name__}; expected {expects}")
+    raise RecordingError(
+        f"{detected.path}: it contains a {type(value).__name__}; expected {expects}"
+    )
 
 
 def _is_present(value: Any) -> bool:
@@ -312,7 +316,7 @@ def _side(detected: _Detections, *tables: dict[Any, Any]) -> Side:
 
 
 def _confidence(hand: dict[Any, Any]) -> float:
-    """Confidence of a detection, perhaps behind the corners of its box; NaN without one."""
+    """Confidence of a detection, which may follow the corners of its box; NaN if not given."""
     value = next((hand[key] for key in _CONFIDENCE if key in hand), hand.get("hand_bbox"))
     try:
         values = numbers(value).ravel()

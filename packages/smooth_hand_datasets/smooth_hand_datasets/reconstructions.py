@@ -1,6 +1,6 @@
-"""Clips from hands and cameras that HaWoR and Dyn-HaMR reconstruct in one world from a video.
+"""Readers of hands and cameras that HaWoR and Dyn-HaMR reconstruct in one world from a video.
 
-Both give MANO's parameters, so the user's model files are needed. Angles are those of HaMeR's
+Both write MANO parameters, so the user's model files are needed. Angles are those of HaMeR's
 models: axis times angle of each joint from the flat hand, with the fingertips of smplx.
 
 - HaWoR, in the folder named as the video: ``world_space_res.pth``, a list of translations
@@ -54,7 +54,7 @@ class Hawor:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is the file of that name, or the folder that has it."""
+        """True if a path is the file of that name, or the folder that contains it."""
         return _world_file(path).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
@@ -115,7 +115,7 @@ class DynHamr:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is an ``.npz`` with its arrays."""
+        """True if a path is an ``.npz`` file with Dyn-HaMR's arrays."""
         if path.suffix.lower() != ".npz" or not path.is_file():
             return False
         try:
@@ -124,7 +124,7 @@ class DynHamr:
             return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """Yields the file as one clip."""
         name = path.stem.removesuffix("_world_results")
         yield ClipRef(name, path, layout="dynhamr", size=_size(path))
 
@@ -212,7 +212,7 @@ def _slam_camera(path: Path, count: int) -> Float[np.ndarray, "T 7"] | None:
 
 
 def _first_tracks(right: Float[np.ndarray, "B T"], path: Path) -> Mapping[Side, int]:
-    """First track of each side."""
+    """Index of the first track of each side."""
     first: dict[Side, int] = {}
     for row, flags in enumerate(right):
         if not np.isin(flags, (0.0, 1.0)).all() or len(np.unique(flags)) != 1:
@@ -224,7 +224,8 @@ def _first_tracks(right: Float[np.ndarray, "B T"], path: Path) -> Mapping[Side, 
 
 
 def _camera(arrays: StoredArrays, tracks: int, count: int) -> Float[np.ndarray, "T 7"] | None:
-    """Pose of the camera in the world. All tracks have the same, so the first one's is read."""
+    """Pose of the camera in the world. It is the same for all tracks, so it is read from the
+    first."""
     if "cam_R" not in arrays or "cam_t" not in arrays or not tracks:
         return None
     to_camera = np.tile(np.eye(4), (count, 1, 1))

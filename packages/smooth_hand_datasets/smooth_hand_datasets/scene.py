@@ -1,4 +1,4 @@
-"""Converts placed hands, objects and cameras in a data set's world to a clip in the project's."""
+"""Converts hands, objects and cameras in a data set's world to a clip in this project's world."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Thing:
     Attributes:
         name: name of the object.
         poses: (T, 7) in the data set's world, NaN where unknown.
-        mesh: its file; the clip does not name a file that does not exist.
+        mesh: its mesh file; the clip names it only if it exists.
         scale: factor from the mesh's units to metres.
     """
 
@@ -49,14 +49,14 @@ class Scene:
 
     Attributes:
         hands: placed hands by side.
-        stamps: (T,) [s].
+        stamps: (T,) timestamps [s].
         world: name of the clip's world, which has z up, or ``CAMERA``.
         to_world: (7,) or (T, 7) pose of the data set's world in the clip's.
         shape: (10,) shape parameters by side.
         camera: (T, 7) or (7,) pose of the camera in the data set's world, x right, y down, z
             forward.
         things: the objects.
-        source: the files; the first is that of the clip.
+        source: the files; the first is the clip's own file.
     """
 
     hands: Mapping[Side, PlacedHand]
@@ -74,7 +74,7 @@ class Scene:
 
     @np.errstate(all="ignore")  # impossible numbers become NaN or are refused
     def clip(self, ref: ClipRef, layout: str, expects: str) -> Clip:
-        """Returns the clip after a check of the units, the stamps and the side of its hands.
+        """Checks units, stamps and sides of the hands, and returns the clip.
 
         Args:
             ref: reference to the clip, for its name.
@@ -130,9 +130,10 @@ class Scene:
 
 
 def _check_bend(hand: HandRecording, where: str) -> None:
-    """Refuses fingers that bend out of the back of the hand, which wrong parameters cause.
+    """Raises RecordingError if fingers bend out of the back of the hand, a sign of wrong
+    parameters.
 
-    The palm of a model always has the side of the model's file, so the check of the side by the
+    The palm of a model always has the side of the model's file, so checking the side by the palm's
     shape does not find wrong parameters.
     """
     assert hand.valid is not None  # set by HandRecording
@@ -181,13 +182,13 @@ def checked_count(counts: Mapping[str, int], where: str) -> int:
 def rigid(
     matrices: Float[np.ndarray, "*n 4 4"], where: str, *, inverse: bool = False
 ) -> Float[np.ndarray, "*n 7"]:
-    """Poses of homogeneous matrices, or of their inverses.
+    """Converts homogeneous matrices, or their inverses, to poses.
 
     Raises:
-        RecordingError: a matrix is not a rotation and position.
+        RecordingError: a matrix is not a rigid transform.
     """
     if not poses.is_rigid(matrices).all():
-        raise RecordingError(f"{where}: it has a matrix that is not a rotation and position")
+        raise RecordingError(f"{where}: it has a matrix that is not a rigid transform")
     quaternions = poses.from_matrices(matrices)
     return poses.invert(quaternions) if inverse else quaternions
 
@@ -198,7 +199,7 @@ def stamps_at(count: int, rate: float) -> Float[np.ndarray, " T"]:
 
 
 def nearby(folder: Path, *names: str) -> Path | None:
-    """Returns the first of the relative paths that exists in a folder or its six next parents."""
+    """Returns the first relative path that exists in a folder or one of its six nearest parents."""
     for place in (folder, *list(folder.parents)[:6]):
         for name in names:
             if (place / name).exists():

@@ -17,8 +17,8 @@ shards in the folder itself, which already has the meshes.
 ``qpos_obj_SIDE``      (T, 7)      the object of that hand
 =====================  ==========  ================================================================
 
-A missing hand or object is at zero with rotation 1 0 0 0. One object of both hands counts as that
-of the right hand. Source: https://github.com/facebookresearch/spider.
+A missing hand or object is at the origin with rotation 1 0 0 0. An object held by both hands counts
+as that of the right hand. Source: https://github.com/facebookresearch/spider.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _AXES: Final = np.array([0.0, 0.0, 0.0, *np.sqrt([0.5, 0.0, 0.5, 0.0])])
 
 
 class _Writer(FileShards):
-    """Human hands for the own retargeting of that program.
+    """Writes human hands for SPIDER's own retargeting.
 
-    It holds human hands for SPIDER's own retargeting: no commands, joints, validity,
-    confidence, camera, video or figures; of each hand the wrist and five fingertips, and one
-    object a hand. Clips are brought to 50 frames a second, gaps of up to 20 % filled.
+    The files contain the wrist and five fingertips of each hand and one object per hand, but no
+    commands, joints, validity, confidence, camera, video or quality metrics. Clips are resampled
+    to 50 frames per second, and gaps of up to 20 % are filled.
     """
 
     def __init__(self, output: Path, options: WritingOptions) -> None:

@@ -28,7 +28,7 @@ _SIDES: Final[tuple[Side, Side]] = ("right", "left")
 
 
 class Taco:
-    """Folders of sequences, ``Hand_Poses/(ACTION, TOOL, TARGET)/SEQUENCE``."""
+    """Reader of TACO's sequences, folders ``Hand_Poses/(ACTION, TOOL, TARGET)/SEQUENCE``."""
 
     what = "a sequence of TACO"
     expects = (
@@ -37,7 +37,7 @@ class Taco:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a folder with a hand and its shape, or with objects or cameras."""
+        """True if a path is a folder with a hand and its shape, or with objects or cameras."""
         if path.name in _OTHERS and (path.parent / "Hand_Poses").is_dir():
             return True
         return any(
@@ -46,7 +46,7 @@ class Taco:
         )
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """List the sequence; none in the other folders."""
+        """List the sequence; yields nothing for the other folders."""
         if path.name in _OTHERS:
             return
         size = sum(
@@ -69,7 +69,7 @@ class Taco:
             held = ref.path / f"{side}_hand_shape.pkl"
             if not held.is_file():
                 raise RecordingError(
-                    f"{held}: this file, which has the shape of the hand, is missing"
+                    f"{held}: this file, which contains the shape of the hand, is missing"
                 )
             value = table(load_restricted(held), str(held), ("hand_shape",))["hand_shape"]
             shape[side] = array(value, f"{held}, hand_shape", (10,), finite=True, batch=True)

@@ -1,9 +1,10 @@
-"""Pickles of a few known classes: MANO's model files and the files of several data sets of hands.
+"""Reads pickles safely: MANO's model files, and the files of several data sets of hands.
 
-``load_restricted`` reads them, also in ``.npy`` and ``.npz``, with an ``Unpickler`` that imports
-nothing: classes of this module replace the arrays of NumPy and chumpy, sparse matrices and tensors
-of PyTorch, and ``numbers`` returns their numbers. Every other name is refused. ``MOST_BYTES``
-limits files and what they unpack to; a pickle made to take more memory than that is not detected.
+``load_restricted`` reads pickles, also inside ``.npy`` and ``.npz`` files, with an ``Unpickler``
+that imports nothing: classes of this module replace the arrays of NumPy and chumpy, sparse matrices
+and tensors of PyTorch, and ``numbers`` returns their numbers. Every other name is refused.
+``MOST_BYTES`` limits the size of files and of what they unpack to; a pickle that is made to take
+more memory than that is not detected.
 """
 
 from __future__ import annotations
@@ -27,22 +28,20 @@ from smooth_operator.io.plain_files import check_plain_file
 __all__ = ("MOST_BYTES", "NotDataError", "array", "load_restricted", "numbers", "table", "text")
 
 MOST_BYTES: Final = 1 << 30
-"""Longest file that is read, and most bytes of a pickle in a compressed one."""
+"""Largest size of a file, and of a pickle in a compressed file [bytes]."""
 
 _NPY: Final = b"\x93NUMPY"
 _ZIP: Final = (b"PK\x03\x04", b"PK\x05\x06")
-_READ: Final = (
-    "of a pickle only arrays, sparse matrices, tensors, tables, lists, texts and numbers are read"
-)
+_READ: Final = "only arrays, sparse matrices, tensors, tables, lists, strings, numbers are read"
 _NUMBERS: Final = re.compile(r"[<>=|]?(b1|i[1248]|u[1248]|f(2|4|8|16)|c8|c16|[SU]\d{0,6}|O8?)")
 
 
 class NotDataError(RecordingError):
-    """A pickle names a refused class or function, is damaged, or is too large."""
+    """Raised if a pickle names a refused class or function, is damaged, or is too large."""
 
 
 def load_restricted(path: Path, *, names: Collection[str] | None = None) -> Any:
-    """Returns the content of a pickle, ``.npy`` or ``.npz``, without running any code of it.
+    """Returns the content of a pickle, ``.npy`` or ``.npz``, without running any code in it.
 
     Args:
         path: the file, which is recognised by its first bytes.
@@ -76,18 +75,19 @@ def load_restricted(path: Path, *, names: Collection[str] | None = None) -> Any:
 
 
 def table(value: Any, where: str, needs: Collection[str] = ()) -> dict[Any, Any]:
-    """A value that must be a table with some keys.
+    """Returns a value that must be a table with some keys.
 
     Args:
-        value: what a file holds.
+        value: content of a file.
         where: the file and part, for messages.
-        needs: keys that it must have.
+        needs: keys that the table must have.
 
     Raises:
-        RecordingError: it is none, or lacks one; says by name which, and what is there.
+        RecordingError: it is not a table, or lacks a key; the message names the missing and the
+            present keys.
     """
     if not isinstance(value, dict):
-        raise RecordingError(f"{where}: a table was expected there, not a {type(value).__name__}")
+        raise RecordingError(f"{where}: expected a table, not a {type(value).__name__}")
     missing = [key for key in needs if key not in value]
     if missing:
         have = listed(sorted(str(key)[:40] for key in list(value)[:40]))
@@ -112,11 +112,11 @@ def array(
         value: content of a file.
         where: the file and part, for messages.
         shape: expected lengths; None for any.
-        finite: True if numbers that are not finite are refused.
-        batch: True if further axes of length one in front are dropped; models have such axes.
+        finite: True to refuse numbers that are not finite.
+        batch: True to drop additional leading axes of length one, which models add.
 
     Raises:
-        RecordingError: it is something else.
+        RecordingError: it is not an array of numbers with this shape.
     """
     try:
         array = numbers(value)
@@ -129,9 +129,7 @@ def array(
     )
     if not fits:
         words = ", ".join("any" if n is None else str(n) for n in shape)
-        raise RecordingError(
-            f"{where}: numbers of shape ({words}) were expected, not {array.shape}"
-        )
+        raise RecordingError(f"{where}: expected numbers of shape ({words}), not {array.shape}")
     if finite and not np.isfinite(array).all():
         raise RecordingError(f"{where}: it has numbers that are not finite")
     return array
@@ -153,7 +151,7 @@ def numbers(value: Any) -> np.ndarray:
         value: an array, a stand-in, a number, or lists of numbers up to three levels.
 
     Raises:
-        NotDataError: it holds something else.
+        NotDataError: it contains something else.
     """
     if isinstance(value, _Stated):
         return value.array()
@@ -387,7 +385,7 @@ class _Stated:
 
 
 _MOST_CELLS: Final = 50_000_000
-"""Most numbers of a sparse matrix, zeros included."""
+"""Largest number of elements of a sparse matrix, zeros included."""
 
 _TORCH_MAGIC: Final = 0x1950A86A20F9469CFC6C
 _TORCH_TYPES: Final = {
@@ -419,7 +417,7 @@ def _storage(raw: bytes) -> np.ndarray:
 
 
 def _tensor(values: Any, offset: Any, size: Any, stride: Any, *_: Any) -> np.ndarray:
-    """A tensor of PyTorch, whose numbers are a view of its storage's."""
+    """Makes a tensor of PyTorch, which is a view of its storage."""
     (start,), size, stride = _lengths(offset), _lengths(size), _lengths(stride)
     last = start + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     # of numbers that count several times, which parameters of hands do not

@@ -1,1 +1,1 @@
-"""Retargeting with objects: contacts of the human hand are kept, penetration is priced."""
+"""Retargeting with objects: keeps contacts of the human hand and penalises penetration."""

@@ -1,9 +1,9 @@
-"""Contacts of human fingertips with objects, frame by frame.
+"""Finds contacts of human fingertips with objects, frame by frame.
 
-A fingertip is a sphere, the pad, that ends at the tip landmark: its centre lies one radius before
-it along the last bone. Its clearance is the signed distance of the centre from the object, less the
-radius. A contact begins where the clearance falls below one threshold and ends where it rises above
-another; short contacts and short interruptions do not count.
+A fingertip is modelled as a sphere, the pad, that ends at the tip landmark: its centre is one
+radius before the landmark along the last bone. Its clearance is the signed distance of the centre
+from the object, minus the radius. A contact begins where the clearance falls below one threshold
+and ends where it rises above another; short contacts and short interruptions do not count.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ContactSettings:
         pad_radius: radius of the sphere that stands for a fingertip [m].
         begin: clearance below which a contact begins [m].
         end: clearance above which it ends [m].
-        shortest: contacts and interruptions that are shorter do not count [s].
+        shortest: duration below which contacts and interruptions do not count [s].
     """
 
     pad_radius: float = 0.0075
@@ -49,7 +49,7 @@ class ContactSettings:
 
 
 DEFAULT: Final = ContactSettings()
-"""Thresholds that suit a tracker good to a few millimetres."""
+"""Thresholds for a tracker with an accuracy of a few millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Scene:
     Attributes:
         names: names of the O objects.
         solids: their shapes.
-        T_world_object: (O, T, 7) their poses, NaN where not known.
+        T_world_object: (O, T, 7) their poses, NaN where unknown.
     """
 
     names: tuple[str, ...]
@@ -67,19 +67,19 @@ class Scene:
     T_world_object: Float[np.ndarray, "O T 7"]
 
     def __len__(self) -> int:
-        """Objects."""
+        """Number of objects."""
         return len(self.solids)
 
 
 def clip_scene(clip: Clip, solids: dict[str, Solid] | None = None) -> Scene:
-    """The objects of a clip with a shape.
+    """Collects the objects of a clip whose shapes are known.
 
     Args:
-        clip: with objects.
-        solids: shapes by the object's name, in place of its mesh.
+        clip: clip with objects.
+        solids: object's name -> shape, used in place of its mesh.
 
     Raises:
-        RecordingError: none has a shape; a mesh can't be read.
+        RecordingError: no object has a shape, or a mesh can't be read.
     """
     solids = solids or {}
     tracks: list[tuple[ObjectTrack, Solid]] = []
@@ -105,12 +105,12 @@ class Contacts:
     """Contacts of fingertips with objects; fingers in the order of ``FINGERS``, F of them.
 
     Attributes:
-        clearance: (T, F) between a fingertip and the nearest object [m], negative inside; NaN where
-            either is not known.
+        clearance: (T, F) clearance between a fingertip and the nearest object [m], negative inside;
+            NaN where either is unknown.
         touching: (T, F) whether there is a contact.
         which: (T, F) index of the nearest object.
-        place: (T, F, 3) its nearest point, in the object's frame [m].
-        normal: (T, F, 3) the outward normal there.
+        place: (T, F, 3) the object's point nearest to the fingertip, in the object's frame [m].
+        normal: (T, F, 3) the outward normal at that point.
     """
 
     clearance: Float[np.ndarray, "T F"]
@@ -138,7 +138,7 @@ def pad_centres(
 def find_contacts(
     clip: Clip, side: Side, scene: Scene, settings: ContactSettings = DEFAULT
 ) -> Contacts:
-    """Contacts of a human hand's fingertips.
+    """Finds the contacts of a human hand's fingertips.
 
     Args:
         clip: the hands.
@@ -167,14 +167,14 @@ def nearest_object(
     Float[np.ndarray, "T F 3"],
     Float[np.ndarray, "T F 3"],
 ]:
-    """Signed distance of points from the nearest object, which it is, place and normal there.
+    """Finds the nearest object of points: signed distance, index, nearest point and its normal.
 
     Args:
         points: (T, F, 3) in the world [m].
         scene: the objects.
 
     Returns:
-        distance (T, F) [m], NaN where it is not known; index (T, F); nearest point and normal
+        distance (T, F) [m], NaN where unknown; index (T, F); nearest point and normal
         (T, F, 3) in that object's frame [m].
     """
     shape = points.shape[:2]
@@ -197,7 +197,7 @@ def nearest_object(
 def _contact(
     clearance: Float[np.ndarray, " T"], stamps: Float[np.ndarray, " T"], settings: ContactSettings
 ) -> Bool[np.ndarray, " T"]:
-    """Hysteresis, then interruptions that are too short, then contacts that are too short."""
+    """Applies hysteresis, then removes interruptions and contacts that are too short."""
     on = np.zeros(len(clearance), bool)
     now = False
     for t, gap in enumerate(clearance):
@@ -214,7 +214,7 @@ def _contact(
 
 
 def _runs(where: Sequence[bool] | np.ndarray) -> list[tuple[int, int]]:
-    """First and past-the-last index of each run of true values."""
+    """First index and past-the-end index of each run of true values."""
     padded = np.concatenate([[0], np.asarray(where, int), [0]])
     edges = np.flatnonzero(np.diff(padded))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,8 +1,8 @@
-"""The solid parts of a robot hand: as spheres for the solver, as surface points for measurement.
+"""Solid parts of a robot hand, as spheres for the solver and as surface points for measurement.
 
-Each body of the hand has four points, its origin and the ends of its axes. Every point that is
-fixed to the body is a weighted sum of the four, and so is its derivative. Spheres and surface
-points are therefore data, and not part of a compiled program.
+Each body of the hand has four reference points: its origin and the ends of its axes. Every point
+that is fixed to the body is a weighted sum of the four, and so is its derivative. Spheres and
+surface points are therefore data, not part of a compiled program.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from smooth_operator.hands.hand import Hand, landmark_points, tree_with
 from smooth_operator.hands.stand_ins import stand_ins
 
 SPACING_M: Final = 0.002
-"""Between the points of a surface [m]."""
+"""Distance between the points of a surface [m]."""
 TIP_M: Final = 0.02
-"""What is nearer than this to the tip landmark belongs to the fingertip [m]."""
+"""Distance from the tip landmark within which points belong to the fingertip [m]."""
 
 _ALONG: Final = 0.6  # distance of spheres in a capsule over its radius
 _PLATE_M: Final = 0.005  # largest radius of the spheres in a box [m]
@@ -41,8 +41,8 @@ class Fixed:
 
     Attributes:
         body: (K,) index into ``HandSurface.bodies``.
-        share: (K, 4) of the body's four points.
-        radius: (K,) of the sphere about it [m].
+        share: (K, 4) weights of the body's four reference points.
+        radius: (K,) radius of the sphere around each point [m].
     """
 
     body: Int[np.ndarray, " K"]
@@ -50,11 +50,11 @@ class Fixed:
     radius: Float[np.ndarray, " K"]
 
     def of(self, chosen: np.ndarray) -> Fixed:
-        """Some of them, by a mask or by indices."""
+        """Selects some of the points, by a mask or by indices."""
         return Fixed(self.body[chosen], self.share[chosen], self.radius[chosen])
 
     def at(self, frames: Float[np.ndarray, "*n B 4 3"]) -> Float[np.ndarray, "*n K 3"]:
-        """Computes the places of the points on the host [m]."""
+        """Computes the positions of the points on the host [m]."""
         return np.asarray(np.einsum("ki,...kic->...kc", self.share, frames[..., self.body, :, :]))
 
 
@@ -78,7 +78,7 @@ class HandSurface:
 
     @cached_property
     def kinematics(self) -> PointKinematics:
-        """Origin and ends of the axes of each body: 4 B points."""
+        """Kinematics of the reference points of each body: 4 B points."""
         ends = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         points = {
             f"body {body} {i}": (body, end) for body in self.bodies for i, end in enumerate(ends)
@@ -86,7 +86,7 @@ class HandSurface:
         return PointKinematics(tree_with(self.hand, points), tuple(points))
 
     def frames(self, q_all: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T B 4 3"]:
-        """The bodies' four points, on the host [m].
+        """Computes the bodies' four reference points on the host [m].
 
         Args:
             q_all: (T, n) positions of all joints [rad].
@@ -102,7 +102,8 @@ class HandSurface:
     def motion(
         self, q: Float[Array, " m"]
     ) -> tuple[Float[Array, "B 4 3"], Float[Array, "B 4 3 m"]]:
-        """The bodies' four points [m] and their derivatives by the actuated joints; traceable."""
+        """The bodies' reference points [m] and their derivatives by the actuated joints;
+        traceable."""
         kinematics = self.kinematics
         joints, by_actuated = joint_motion(self.hand, q)
         motion = kinematics(joints)
@@ -132,7 +133,7 @@ class HandSurface:
 
     @cached_property
     def surface(self) -> Fixed:
-        """Points of the surfaces, ``SPACING_M`` apart, with radius 0: what is measured."""
+        """Points on the surfaces, ``SPACING_M`` apart, with radius 0, for measurements."""
         points_of_bodies: list[tuple[int, np.ndarray, float]] = []
         for capsule in self._estimated:
             points = _capsule_points(capsule, SPACING_M)
@@ -145,7 +146,7 @@ class HandSurface:
         return self._fixed(points_of_bodies)
 
     def fingertips(self, points: Fixed) -> tuple[Int[np.ndarray, " p"], ...]:
-        """For each finger the indices of points that belong to its fingertip.
+        """For each finger, the indices of the points that belong to its fingertip.
 
         Raises:
             HandModelError: a fingertip has no solid part.
@@ -162,8 +163,8 @@ class HandSurface:
                 chosen = np.flatnonzero(here if here.any() else same)
             if not len(chosen):
                 raise HandModelError(
-                    f"hand {self.hand.name!r}: the fingertip of the {finger} has no shape that "
-                    "collides, so its contacts can't be known: give its body one"
+                    f"hand {self.hand.name!r}: the fingertip of the {finger} has no collision "
+                    "shape, so its contacts can't be computed: add one to its body"
                 )
             out.append(chosen)
         return tuple(out)
@@ -188,7 +189,7 @@ class HandSurface:
         return [int(g) for g in every if self._below(int(model.geom_bodyid[g]))]
 
     def _below(self, body: int) -> bool:
-        """True if a body is the palm or one of its descendants."""
+        """True if a body is the palm or a descendant of the palm."""
         palm = self.hand.model.body(self.hand.spec.palm).id
         while body not in (0, palm):
             body = int(self.hand.model.body_parentid[body])
@@ -206,12 +207,12 @@ class HandSurface:
 
 
 def surface_points(model: mujoco.MjModel, geom: int, spacing: float) -> Float[np.ndarray, "n 3"]:
-    """Points of the surface of a shape in the frame of its body [m].
+    """Samples points on the surface of a shape, in the frame of its body [m].
 
     Args:
         model: the compiled model.
         geom: the shape.
-        spacing: between the points [m].
+        spacing: distance between the points [m].
     """
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
     if kind == _MESH:
@@ -239,7 +240,7 @@ def _capsule_points(capsule: Capsule, spacing: float) -> np.ndarray:
 
 
 def _round(radius: float, half: float, spacing: float) -> np.ndarray:
-    """A capsule along z; a sphere for no length."""
+    """Points of a capsule along z, or of a sphere if its length is zero."""
     ball = _ball(radius, spacing)
     parts = [ball + np.where(ball[:, 2:] >= 0, half, -half) * np.array([0.0, 0.0, 1.0])]
     if half > 0:

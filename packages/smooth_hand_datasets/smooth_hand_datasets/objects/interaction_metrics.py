@@ -1,10 +1,10 @@
-"""Figures of hands at objects: which contacts are kept, and how deep the hand is in an object.
+"""Metrics of hands at objects: which contacts are kept, and how deep the hand is in an object.
 
-A fingertip is in contact where its surface is within ``CONTACT_M`` of the object's, for the human
-as for the robot; a fingertip that is further inside than that is not. Pairs of frame and finger are
-counted. *Precision* is the share of the robot's contacts that are the human's as well, *recall* the
-share of the human's that the robot has. The *contact error* is the distance between the robot's
-fingertip and the object in the human's contacts: the contact precision error of TopoRetarget
+A fingertip, human or robot, is in contact where its surface is within ``CONTACT_M`` of the
+object's; a fingertip that is deeper inside than that is not. Pairs of frame and finger are counted.
+*Precision* is the share of the robot's contacts that the human also has, *recall* the share of the
+human's contacts that the robot also has. The *contact error* is the distance between the robot's
+fingertip and the object where the human has contact: the contact precision error of TopoRetarget
 (arXiv 2606.16272, Eq. 10) for fingertips. Penetration is the depth of the deepest of the points of
 the hand's surface, ``SPACING_M`` apart (its Eq. 12).
 """
@@ -29,19 +29,20 @@ CONTACT_M: Final = 0.005
 
 _CHUNK: Final = 32  # frames measured together
 _NEAR_M: Final = 0.03
-"""Bodies whose spheres are all farther from the objects are not inside [m]."""
+"""Distance from the objects beyond which a body's spheres need no measurement [m]."""
 _SURE_M: Final = 0.004
-"""Points that are this far outside by a mesh's grid are not measured exactly [m]."""
+"""Distance, by a mesh's grid, beyond which points outside are not measured exactly [m]."""
 
 
 class Depths(NamedTuple):
     """Depths of a robot hand's surface in objects.
 
     Attributes:
-        deepest: (T,) depth of its deepest point inside an object [m]; 0 where none is inside, NaN
-            where no object or no palm is known.
-        clearance: (T, F) between each fingertip and the nearest object [m], negative inside.
-        place: (T, F, 3) the point of the fingertip that is nearest, in the world [m].
+        deepest: (T,) depth of the surface's deepest point inside an object [m]; 0 where no point is
+            inside, NaN where no object or no palm is known.
+        clearance: (T, F) clearance between each fingertip and the nearest object [m], negative
+            inside.
+        place: (T, F, 3) the point of the fingertip that is nearest to the object, in the world [m].
     """
 
     deepest: Float[np.ndarray, " T"]
@@ -97,7 +98,7 @@ def _least(
     part: slice,
     exact: bool = True,
 ) -> Float[np.ndarray, "t K"]:
-    """Signed distance of points of the hand from the nearest object [m]; infinite if not known."""
+    """Signed distance of points of the hand from the nearest object [m]; infinite if unknown."""
     world = apply(T_world_palm, points.at(frames))
     least = np.full(world.shape[:2], np.inf)
     for solid, track in zip(scene.solids, scene.T_world_object, strict=True):
@@ -111,12 +112,12 @@ def _least(
 
 
 def _roughly(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Distances without the triangles of a mesh."""
+    """Approximate distances that do not use the triangles of a mesh."""
     return np.asarray(signed_distance(solid.shape, points))
 
 
 def _distances(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Exact distances near the surface; those far outside by the grid."""
+    """Distances that are exact near the surface; far outside, those of the grid."""
     if not isinstance(solid.shape, Grid):
         return solid.distance(points)
     rough = np.asarray(signed_distance(solid.shape, points))
@@ -126,17 +127,17 @@ def _distances(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarr
 
 
 def touching(clearance: Float[np.ndarray, "T F"]) -> Bool[np.ndarray, "T F"]:
-    """Mask of fingertips that are in contact by ``CONTACT_M``; none where the clearance is NaN."""
+    """Mask of fingertips that are in contact by ``CONTACT_M``; False where the clearance is NaN."""
     return np.asarray(np.abs(clearance) <= CONTACT_M)
 
 
 class Agreement(NamedTuple):
-    """Contacts of a robot hand against the human's.
+    """Comparison of a robot hand's contacts with the human's.
 
     Attributes:
-        both: pairs of frame and finger in which human and robot are in contact.
-        robot: those of the robot.
-        human: those of the human.
+        both: number of pairs of frame and finger in which human and robot are in contact.
+        robot: number of such pairs in which the robot is in contact.
+        human: number of such pairs in which the human is in contact.
     """
 
     both: int
@@ -145,17 +146,17 @@ class Agreement(NamedTuple):
 
     @property
     def precision(self) -> float:
-        """Share of the robot's contacts that are the human's; NaN without any."""
+        """Share of the robot's contacts that the human also has; NaN without contacts."""
         return self.both / self.robot if self.robot else float("nan")
 
     @property
     def recall(self) -> float:
-        """Share of the human's contacts that the robot has; NaN without any."""
+        """Share of the human's contacts that the robot also has; NaN without contacts."""
         return self.both / self.human if self.human else float("nan")
 
     @property
     def f1(self) -> float:
-        """Harmonic mean of the two."""
+        """Harmonic mean of precision and recall."""
         total = self.robot + self.human
         return 2 * self.both / total if total else float("nan")
 
@@ -172,20 +173,20 @@ def interaction_tracks(
     scene: Scene,
     contacts: Contacts,
 ) -> dict[str, Float[np.ndarray, " T"]]:
-    """Measures what one hand does at the objects of a clip, frame by frame.
+    """Measures the contacts and depth of one hand at the objects of a clip, frame by frame.
 
     Args:
         surface: surface of the robot hand.
         joint_positions: (T, n) of all joints [rad].
         T_world_palm: (T, 7) its palm.
         scene: the objects.
-        contacts: the human's; their clearances decide.
+        contacts: the human's contacts, of which the clearances are used.
 
     Returns:
-        ``human_contacts``, ``robot_contacts`` and ``shared_contacts``, the number of fingertips;
-        ``contact_error`` and ``contact_place`` [m], sums over the human's contacts: of the robot
-        fingertip's distance from the object, and from where the human touches; ``object_depth``
-        [m] of the hand's deepest point, NaN where it is not known.
+        ``human_contacts``, ``robot_contacts`` and ``shared_contacts``, numbers of fingertips;
+        ``contact_error`` and ``contact_place`` [m], sums over the human's contacts of the robot
+        fingertip's distance from the object and from the point that the human touches;
+        ``object_depth`` [m], the depth of the hand's deepest point, NaN where unknown.
     """
     measured = hand_depths(surface, joint_positions, T_world_palm, scene)
     rows = [FINGERS.index(finger) for finger in surface.hand.fingers]
@@ -207,17 +208,17 @@ def interaction_tracks(
 
 
 def interaction_figures(tracks: Mapping[str, Float[np.ndarray, " T"]]) -> dict[str, float]:
-    """Figures of one hand over frames of a clip; NaN where one is not known.
+    """Computes metrics of one hand over frames of a clip; NaN for an unknown metric.
 
     Args:
         tracks: result of ``interaction_tracks``, whole or a part.
 
     Returns:
         ``contact_precision``, ``contact_recall``, ``contact_f1``; ``contact_error_mm``, the mean
-        distance of the robot's fingertip from the object in the human's contacts;
-        ``contact_place_mm``, how far it is there from where the human touches;
-        ``penetration_max_mm`` and ``penetration_mean_mm``, the deepest point of a frame, over the
-        clip and in the mean; ``contacts``, how many the human has.
+        distance of the robot's fingertip from the object where the human has contact;
+        ``contact_place_mm``, its mean distance there from the point that the human touches;
+        ``penetration_max_mm`` and ``penetration_mean_mm``, the maximum and the mean over the
+        frames of the deepest point; ``contacts``, the number of the human's contacts.
     """
     names = ("shared_contacts", "robot_contacts", "human_contacts")
     agreement = Agreement(*(int(tracks[name].sum()) for name in names))

@@ -1,4 +1,4 @@
-"""Poses of human hands, robot palms and objects in one world frame."""
+"""Places human hands, robot palms and objects in one world frame."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording
 
 SAME_M = 0.01
-"""Wrist landmark and wrist pose nearer than this: the landmarks are in the world already [m]."""
+"""Distance between wrist landmark and wrist pose below which landmarks are in the world frame
+[m]."""
 
 
 def landmarks_in_world(recording: HandRecording) -> Float[np.ndarray, "T 21 3"]:
-    """The landmarks of a hand in the world of its wrist poses.
+    """Converts the landmarks of a hand to the world frame of its wrist poses.
 
-    A tracker may give landmarks in a frame of its own. They are then carried to the wrist's pose by
-    the wrist frame that the palm's landmarks define.
+    A tracker may give landmarks in its own frame. They are then transformed so that the wrist
+    frame that the palm's landmarks define coincides with the wrist's pose.
 
     Args:
-        recording: with ``T_world_wrist``.
+        recording: a recording with ``T_world_wrist``.
 
     Returns:
-        (T, 21, 3) [m], NaN where a landmark or the wrist is not known.
+        (T, 21, 3) [m], NaN where a landmark or the wrist is unknown.
 
     Raises:
         RecordingError: the recording has no poses of the wrist.
@@ -39,8 +40,8 @@ def landmarks_in_world(recording: HandRecording) -> Float[np.ndarray, "T 21 3"]:
     wrist = recording.T_world_wrist
     if wrist is None:
         raise RecordingError(
-            f"{recording.name}: objects need the wrist in the world, and this recording has only "
-            "landmarks: use a layout with wrist poses"
+            f"{recording.name}: objects need the wrist's pose in the world, but this recording has "
+            "only landmarks: use a layout with wrist poses"
         )
     assert recording.valid is not None  # filled in on construction
     points = np.where(recording.valid[..., None], recording.landmarks, np.nan)
@@ -55,7 +56,7 @@ def landmarks_in_world(recording: HandRecording) -> Float[np.ndarray, "T 21 3"]:
 def palm_in_world(
     recording: HandRecording, hand: Hand, alignment: AlignmentConfig
 ) -> Float[np.ndarray, "T 7"]:
-    """Places the robot's palm on the human's.
+    """Places the robot's palm at the human's.
 
     The rotation is that of the alignment that retargeting uses. Robot and human keep their sizes,
     and the centres of the landmarks that are aligned coincide.
@@ -63,10 +64,10 @@ def palm_in_world(
     Args:
         recording: the human hand, with ``T_world_wrist``.
         hand: the robot hand.
-        alignment: the method's.
+        alignment: the alignment of the method.
 
     Returns:
-        (T, 7) ``T_world_palm``; NaN where the palm is not known.
+        (T, 7) ``T_world_palm``; NaN where the palm is unknown.
     """
     points = landmarks_in_world(recording)
     chosen = list(hand.align_indices)
@@ -82,9 +83,9 @@ def palm_in_world(
 
 
 def wrist_in_palm(hand: Hand) -> Float[np.ndarray, "7"]:
-    """``T_palm_wrist`` of a robot hand: the wrist's axes as those of every tracker's wrist.
+    """``T_palm_wrist`` of a robot hand, with the same wrist axes as for every tracker's wrist.
 
-    They follow from the robot's own landmarks in its neutral pose
+    The axes are computed from the robot's own landmarks in its neutral pose
     (docs/reference/conventions.md).
     """
     landmarks = human_landmarks(hand, hand.neutral[None])[0]
@@ -94,6 +95,6 @@ def wrist_in_palm(hand: Hand) -> Float[np.ndarray, "7"]:
 def apply(
     transform: Float[np.ndarray, "T 7"], points: Float[np.ndarray, "T n 3"]
 ) -> Float[np.ndarray, "T n 3"]:
-    """Points of each frame moved by its pose."""
+    """Transforms the points of each frame by its pose."""
     moved: np.ndarray = poses.rotate(transform[:, None, 3:], points) + transform[:, None, :3]
     return moved

@@ -1,8 +1,8 @@
-"""Whole recordings retargeted with the objects that the hand touches.
+"""Retargets whole recordings together with the objects that the hand touches.
 
-All frames are solved jointly, as by ``TrajectoryRetargeter``, with the costs of
-``smooth_hand_datasets.objects.terms`` added. The robot's palm lies on the human's; within bounds
-the wrist may move off it, so that fingers of another length reach what the human touches.
+All frames are solved jointly, as in ``TrajectoryRetargeter``, with the costs of
+``smooth_hand_datasets.objects.terms`` added. The robot's palm is placed at the human's; the wrist
+may move away from it within bounds, so that fingers of another length reach what the human touches.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from smooth_operator.retargeting.trajectory_solver import FrameBlocks
 from smooth_operator.types import CommandTrajectory, Side
 
 ITERATIONS: Final = 80
-"""Newton steps at most: contacts bend the cost more than landmarks do."""
+"""Largest number of Newton steps; contacts make the cost more nonlinear than landmarks do."""
 
 _KEPT: Final = 4
 _RETARGETERS: OrderedDict[tuple[str, TrajectoryMethodConfig, int], ObjectAwareRetargeter] = (
@@ -53,19 +53,19 @@ _RETARGETERS: OrderedDict[tuple[str, TrajectoryMethodConfig, int], ObjectAwareRe
 
 
 class ObjectAware(NamedTuple):
-    """Motion of a robot hand in a clip with objects.
+    """Retargeted motion of a robot hand in a clip with objects.
 
     Attributes:
-        commands: one for each frame.
+        commands: a command for each frame.
         loss: (T,) the method's tracking loss, NaN without a usable hand.
-        figures: contacts and penetration by name (``interaction_figures``), against the contacts
-            that were found in the human's hand.
-        tracks: the same frame by frame (``interaction_tracks``).
-        T_world_palm: (T, 7) the robot's palm, NaN where it is not known.
-        T_world_wrist: (T, 7) its wrist, with the axes of every wrist.
-        correction: (T, 6) of the wrist: translation [m] and rotation vector [rad] in the palm
-            frame.
-        contacts: the human's.
+        figures: metrics of contacts and penetration by name (``interaction_figures``), compared
+            with the human's contacts.
+        tracks: the same metrics frame by frame (``interaction_tracks``).
+        T_world_palm: (T, 7) pose of the robot's palm, NaN where unknown.
+        T_world_wrist: (T, 7) pose of its wrist, with the same axes as every wrist.
+        correction: (T, 6) correction of the wrist: translation [m] and rotation vector [rad] in
+            the palm frame.
+        contacts: the human's contacts.
     """
 
     commands: CommandTrajectory
@@ -98,7 +98,7 @@ class _Terms:
         return self.costs_of.all_costs(self.shapes, x, frames)
 
     def settle(self, pose: Float[np.ndarray, "T 6"]) -> None:
-        """Takes the solution."""
+        """Stores the solution."""
         self.found = pose
 
 
@@ -108,8 +108,8 @@ class ObjectAwareRetargeter:
     Args:
         hand: the robot hand.
         config: a configuration for whole recordings; None for ``smooth:offline``.
-        settings: weights and bounds; None for the default ones.
-        contacts: when a human fingertip touches; None for the default thresholds.
+        settings: weights and bounds; None for the defaults.
+        contacts: thresholds of human contacts; None for the defaults.
         seed: seed of the method's random numbers.
 
     Raises:
@@ -134,12 +134,12 @@ class ObjectAwareRetargeter:
         self.costs = ObjectCosts(hand, ObjectSettings() if settings is None else settings)
 
     def run(self, clip: Clip, side: Side, solids: Mapping[str, Solid] | None = None) -> ObjectAware:
-        """One hand of a clip.
+        """Retargets one hand of a clip.
 
         Args:
-            clip: with wrist poses and objects.
+            clip: clip with wrist poses and objects.
             side: side of the hand.
-            solids: shapes of objects by name, in place of their meshes.
+            solids: shapes of objects by name, used in place of their meshes.
 
         Raises:
             RecordingError: the clip lacks the hand, its wrist, or an object with a shape.
@@ -174,7 +174,7 @@ class ObjectAwareRetargeter:
     def corrected(
         self, palm: Float[np.ndarray, "T 7"], correction: Float[np.ndarray, "T 6"]
     ) -> Float[np.ndarray, "T 7"]:
-        """``T_world_palm`` after the wrist's correction, which turns about the palm's centre."""
+        """``T_world_palm`` after the wrist's correction, which rotates about the palm's centre."""
         centre = self.hand.align_points.mean(axis=0)
         turn = poses.from_rotation_vectors(correction[:, 3:])
         place = correction[:, :3] + centre - poses.rotate(turn, np.broadcast_to(centre, (1, 3)))
@@ -182,22 +182,23 @@ class ObjectAwareRetargeter:
 
 
 def object_aware(clip: Clip, side: Side, plan: Plan) -> ObjectAware:
-    """One hand of a clip with objects, as a plan asks for it.
+    """Retargets one hand of a clip with objects, as a plan specifies.
 
     Args:
-        clip: with wrist poses and objects.
+        clip: clip with wrist poses and objects.
         side: side of the hand.
-        plan: robot hand, method and preset, which must be one for whole recordings.
+        plan: robot hand, method and preset, which must be for whole recordings.
 
     Raises:
-        ConfigError: the preset answers frame by frame.
+        ConfigError: the preset solves frame by frame.
         RecordingError: the clip lacks wrist poses, or objects with a shape.
     """
     return _retargeter(plan.hand, whole_config(plan.config), plan.seed).run(clip, side)
 
 
 def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> ObjectAwareRetargeter:
-    """Programs are compiled once for a hand and a configuration."""
+    """Creates a retargeter; cached, so that programs are compiled once per hand and
+    configuration."""
     key = (fingerprint(hand), config, seed)
     retargeter = _RETARGETERS.pop(key, None)
     if retargeter is None:

@@ -1,4 +1,4 @@
-"""Signed distance of points from objects: primitives in closed form, meshes exactly and as grids.
+"""Signed distances of points from objects: primitives in closed form, meshes exactly or by grids.
 
 A distance is negative inside. ``signed_distance`` is traceable: its shapes are pytrees of numbers,
 so that objects of one kind share a compiled program whatever their size. A mesh is measured exactly
@@ -22,14 +22,14 @@ from smooth_operator.errors import RecordingError, reason
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 
 CELLS: Final = 64
-"""Points of a grid along each axis."""
+"""Number of points of a grid along each axis."""
 MARGIN_M: Final = 0.02
-"""How far a grid reaches beyond the mesh [m]."""
+"""Distance by which a grid extends beyond the mesh [m]."""
 SMALLEST_M: Final = 0.001
 LARGEST_M: Final = 5.0
-"""Extents of meshes outside these bounds are taken for another unit [m]."""
+"""Bounds of the size of a mesh [m]; outside them, its unit is assumed not to be metres."""
 FAR_M: Final = 10.0
-"""Distance from an object that is not known."""
+"""Distance that stands for an object whose pose is unknown [m]."""
 
 _TINY: Final = 1e-18  # [m^2]
 _STEP: Final = 1e-6  # of central differences [m]
@@ -68,7 +68,7 @@ class Cylinder(NamedTuple):
 
 
 class Capsule(NamedTuple):
-    """All points within a radius of a segment about the origin, along z.
+    """A capsule about the origin, along z: all points within a radius of a segment.
 
     Attributes:
         radius: [m].
@@ -97,7 +97,7 @@ Shape: TypeAlias = Sphere | Box | Cylinder | Capsule | Grid
 
 
 def signed_distance(shape: Shape, points: AnyKind) -> AnyKind:
-    """Distance of points from a surface, negative inside.
+    """Computes the distance of points from a surface, negative inside.
 
     Args:
         shape: the object, in its own frame.
@@ -129,7 +129,7 @@ def _norm(vector: Any, xp: Any) -> Any:
 
 
 def _corner(beyond: Any, xp: Any) -> Any:
-    """Distance from the product of intervals that end at 0."""
+    """Distance from a corner region, given the distances beyond each of its sides."""
     return _norm(xp.maximum(beyond, 0.0), xp) + xp.minimum(beyond.max(axis=-1), 0.0)
 
 
@@ -151,7 +151,7 @@ def _interpolated(grid: Grid, points: Any, xp: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles, measured exactly.
+    """A triangle mesh, whose distances are computed exactly.
 
     Attributes:
         vertices: (V, 3) [m].
@@ -181,7 +181,7 @@ class Mesh:
         return sign * np.linalg.norm(points - place, axis=-1), place
 
     def grid(self, cells: int = CELLS, margin: float = MARGIN_M) -> Grid:
-        """Distances in the box around the mesh.
+        """Computes a grid of distances in the box around the mesh.
 
         Args:
             cells: points along each axis.
@@ -242,14 +242,14 @@ class Solid:
 
 
 def read_solid(path: Path, scale: float = 1.0) -> Solid:
-    """The shape in a file of a mesh: OBJ, PLY, STL, OFF or GLB.
+    """Reads a shape from a mesh file: OBJ, PLY, STL, OFF or GLB.
 
     Args:
         path: the file.
         scale: factor from its units to metres.
 
     Raises:
-        RecordingError: the file is no mesh, or its size is that of another unit.
+        RecordingError: the file is not a mesh, or its size suggests another unit.
         MissingExtraError: trimesh or libigl is not installed.
     """
     try:
@@ -272,7 +272,7 @@ def _read_solid(path: Path, scale: float, changed: int, size: int) -> Solid:
         )
     except Exception as error:  # what trimesh raises depends on the format
         raise RecordingError(
-            f"{path}: expected a mesh (OBJ, PLY, STL, OFF, GLB), and it can't be read: "
+            f"{path}: it can't be read as a mesh (OBJ, PLY, STL, OFF, GLB): "
             f"{type(error).__name__}: {reason(error)}"
         ) from error
     vertices = vertices * scale
@@ -282,7 +282,7 @@ def _read_solid(path: Path, scale: float, changed: int, size: int) -> Solid:
     if not SMALLEST_M <= extent <= LARGEST_M:
         raise RecordingError(
             f"{path}: the mesh is {extent:.4g} m long at scale {scale:g}; expected "
-            f"{SMALLEST_M:g} to {LARGEST_M:g} m: give the factor from its units to metres"
+            f"{SMALLEST_M:g} to {LARGEST_M:g} m: set the factor from its units to metres"
         )
     mesh = Mesh(vertices, faces)
     return Solid(mesh.grid(), mesh)

@@ -37,33 +37,34 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.settings import check_numbers
 
 TRANSITION: Final = 0.02
-"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
+"""Transition of the smooth-L1 cost [m], as for keyvectors, so that weights are comparable."""
 CHUNK: Final = 64
-"""Frames in a call of the compiled program."""
+"""Number of frames in a call of the compiled program."""
 UNITS: Final = np.array([0.05] * 3 + [0.3] * 3)
-"""What one unit of each variable of the wrist is [m, rad]: motion costs as a joint's does."""
+"""Size of one unit of each wrist variable [m, rad], chosen so that motion costs as for a joint."""
 
 _DEEPEST: Final = 48  # spheres of a frame whose derivatives are worked out
 
 
 @dataclass(frozen=True)
 class ObjectSettings:
-    """Weights, in units of a keyvector's weight, and bounds.
+    """Weights (relative to the weight of a keyvector) and bounds of the costs.
 
     Attributes:
-        penetration: weight of depths inside an object.
+        penetration: weight of the depth inside an object.
         margin: clearance below which a part counts as inside [m].
         contact: weight of a fingertip's clearance in a contact.
         place: weight of its offset along the surface in a contact.
-        apart: weight of a fingertip that comes nearer than the human's where that does not touch.
+        apart: weight of a fingertip that comes nearer than the human's while the human's does not
+            touch.
         clear: clearance that is enough for such a fingertip [m].
-        reach: clearance from which on the cost of a missed contact grows linearly [m].
-        slip: the same for the offset along the surface [m].
+        reach: clearance above which the cost of a missed contact grows linearly [m].
+        slip: offset along the surface above which its cost grows linearly [m].
         wrist: weight of the wrist's correction: its translation, and its rotation times ``lever``.
         lever: arm on which a rotation of the wrist counts [m].
         ramp: time over which a contact's weight rises and falls [s].
-        shift: largest correction of the wrist along each axis [m]; 0 for none.
-        turn: largest correction about each axis [rad]; 0 for none.
+        shift: largest correction of the wrist along each axis [m]; 0 for no correction.
+        turn: largest correction about each axis [rad]; 0 for no correction.
     """
 
     penetration: float = 7000.0
@@ -87,21 +88,21 @@ class ObjectSettings:
 
 
 DEFAULT: Final = ObjectSettings()
-"""Weights as docs/explanation/objects.md says how they were chosen."""
+"""Default weights; docs/explanation/objects.md describes how they were chosen."""
 
 
 class ObjectFrame(NamedTuple):
     """Objects and contacts of one frame; a pytree. O objects, F fingers of the robot.
 
     Attributes:
-        rotation: (O, 3, 3) palm to object.
-        translation: (O, 3) of the palm in the object's frame [m].
-        known: (O,) whether that is known.
+        rotation: (O, 3, 3) rotations from palm to object.
+        translation: (O, 3) positions of the palm in the objects' frames [m].
+        known: (O,) whether these poses are known.
         contact: (F,) 1 in a contact, 0 elsewhere.
-        clear: (F,) clearance that a fingertip without contact keeps [m]; -1 for none.
+        clear: (F,) clearance that a fingertip without contact keeps [m]; -1 for no limit.
         which: (F,) index of the object that is touched.
-        place: (F, 3) where the human touches it, in its frame [m].
-        normal: (F, 3) outward normal there.
+        place: (F, 3) point that the human touches, in the object's frame [m].
+        normal: (F, 3) outward normal at that point.
     """
 
     rotation: Float[AnyArray, "O 3 3"]
@@ -126,10 +127,10 @@ def object_frames(
 
     Args:
         hand: the robot hand.
-        T_world_palm: (T, 7) its palm without correction.
+        T_world_palm: (T, 7) pose of its palm without correction.
         scene: the objects.
-        contacts: the human's.
-        stamps: (T,) [s].
+        contacts: the human's contacts.
+        stamps: (T,) timestamps [s].
         settings: weights.
     """
     palm = poses.relative(scene.T_world_object, T_world_palm[None])  # (O, T, 7) T_object_palm
@@ -155,7 +156,7 @@ def object_frames(
 def _ramps(
     touching: Bool[np.ndarray, "T F"], stamps: Float[np.ndarray, " T"], ramp: float
 ) -> Float[np.ndarray, "T F"]:
-    """1 in contacts, less in the time before and after them."""
+    """Weights of contacts: 1 during a contact, with ramps before and after it."""
     out = touching.astype(float)
     if not ramp:
         return out
@@ -170,7 +171,7 @@ def _ramps(
 
 
 class ObjectCosts:
-    """Cost, gradient and Hessian of frames near objects, for one hand.
+    """Computes cost, gradient and Hessian of frames near objects, for one hand.
 
     Args:
         hand: the robot hand.
@@ -269,7 +270,7 @@ class ObjectCosts:
         return total.cost, total.gradient, total.hessian
 
     def _moved(self, points: Array, wrist: Array) -> Array:
-        """Points of the palm frame after the wrist's correction, about the palm's centre."""
+        """Moves points of the palm frame by the wrist's correction, about the palm's centre."""
         centre = jnp.asarray(self._centre, points.dtype)
         moved: Array = (points - centre) @ _rotation(wrist[3:]).T + centre + wrist[:3]
         return moved
@@ -287,7 +288,7 @@ class ObjectCosts:
     def _near(
         self, shapes: tuple[Shape, ...], points: Array, frame: ObjectFrame
     ) -> tuple[Array, Array]:
-        """The same with its slopes, in the palm frame."""
+        """Signed distances from the nearest object [m], and their gradients in the palm frame."""
 
         def one(point: Array) -> Array:
             return self._distances(shapes, point[None], frame)[0]
@@ -327,7 +328,7 @@ class _Sum(NamedTuple):
 
     @classmethod
     def of(cls, weight: Array, error: Array, rows: Array) -> _Sum:
-        """Half the weighted sum of squared errors, whose derivatives are the rows."""
+        """Half the weighted sum of squared errors; ``rows`` are the errors' derivatives."""
         return cls(
             0.5 * (weight * error * error).sum(),
             (weight * error) @ rows,
@@ -336,7 +337,7 @@ class _Sum(NamedTuple):
 
     @classmethod
     def huber(cls, weight: Array, error: Array, rows: Array, scale: float) -> _Sum:
-        """The same with errors that count linearly beyond a scale."""
+        """Weighted sum of errors that count quadratically up to a scale and linearly beyond it."""
         size = jnp.sqrt(1.0 + (error / scale) ** 2)
         part = cls.of(weight / size, error, rows)
         return part._replace(cost=(weight * scale**2 * (size - 1.0)).sum())
@@ -348,7 +349,7 @@ class _Sum(NamedTuple):
 
 
 def _rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """The rotation about a vector by its length [rad] (Rodrigues); differentiable at zero."""
+    """Rotation about a vector by its length [rad] (Rodrigues); differentiable at zero."""
     angle = jnp.sqrt((vector * vector).sum() + 1e-12)
     x, y, z = vector
     cross = jnp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
