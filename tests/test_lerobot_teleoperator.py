@@ -265,7 +265,7 @@ def test_messages_that_cannot_be_read_are_left_out(session):
         ({"unit": "range_0_100", "joints": JOINTS}, "needs the model's angles at both ends"),
         ({"joints": {"a": "one", "b": "one"}}, "robot's key one.pos"),
         ({"joints": JOINTS, "signs": {"index_mcp": 2}}, "1 or -1"),
-        ({"joints": JOINTS, "offsets": {"indx": 2}}, "'indx' is none of"),
+        ({"joints": JOINTS, "offsets": {"indx": 2}}, "'indx' is not one of"),
         ({"joints": JOINTS, "ends": {"index_mcp": [0, 1]}}, "signs and offsets"),
         ({"left_joints": JOINTS}, "side=both"),
         ({"hold_s": -1.0}, r"hold_s must be 0 to 1e\+09, not -1"),
@@ -301,7 +301,7 @@ def test_it_says_what_is_missing(plugin):
     with Publishing(sink, hand):
         refused("set --teleop.side=right", side="left")
         refused("without the pose of a wrist", wrist="quaternion")
-        refused("no_joint are not among", joints={"no_joint": "thumb"})
+        refused("no_joint are not joints of", joints={"no_joint": "thumb"})
     config = plugin.package.SmoothOperatorConfig(address="nowhere")
     with pytest.raises(ValueError, match="not a ZeroMQ address"):
         plugin.package.SmoothOperator(config).connect()

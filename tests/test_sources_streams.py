@@ -115,7 +115,7 @@ def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
         (b"{not json}", "not JSON"),
         (b"[" * 60_000, "not JSON"),
         (b'{"landmarks": "\xff"}', "not JSON"),
-        (b"{}", "no 'landmarks', but nothing"),
+        (b"{}", "no 'landmarks'; it has nothing"),
         (b'{"points": 1}', "'points'"),
         (text(landmarks=5), "21 rows"),
         (text(landmarks=[[1, 2], [3]]), "rows of one length"),
@@ -267,7 +267,7 @@ def test_stamps_of_a_bridge_are_read_where_they_are_seconds():
     [
         (glove_text("UNKNOWN "), "right_glove=3064964832 or left_glove=3064964832"),
         (csv(), "right_glove=bccdf6ef"),
-        (glove_text(nodes=...), "no 'nodes', but glove_id"),
+        (glove_text(nodes=...), "no 'nodes'; it has glove_id"),
         (glove_text(nodes=[]), "a list of 25 nodes"),
         (glove_text(nodes=[node(i) for i in range(24)]), "lacks [24]"),
         (glove_text(nodes=[node(i % 24) for i in range(25)]), "more than once"),
