@@ -87,7 +87,7 @@ def table(value: Any, where: str, needs: Collection[str] = ()) -> dict[Any, Any]
             present keys.
     """
     if not isinstance(value, dict):
-        raise RecordingError(f"{where}: expected a table, not a {type(value).__name__}")
+        raise RecordingError(f"{where}: a table was expected there, not a {type(value).__name__}")
     missing = [key for key in needs if key not in value]
     if missing:
         have = listed(sorted(str(key)[:40] for key in list(value)[:40]))
@@ -129,7 +129,9 @@ def array(
     )
     if not fits:
         words = ", ".join("any" if n is None else str(n) for n in shape)
-        raise RecordingError(f"{where}: expected numbers of shape ({words}), not {array.shape}")
+        raise RecordingError(
+            f"{where}: numbers of shape ({words}) were expected, not {array.shape}"
+        )
     if finite and not np.isfinite(array).all():
         raise RecordingError(f"{where}: it has numbers that are not finite")
     return array

@@ -230,7 +230,7 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path, cube):
     data = read_spider(tmp_path / "out", "smooth_operator", "bimanual")["part1/pick/0"]
     truth = whole.clip.hands["right"].T_world_wrist
     np.testing.assert_allclose(data["qpos_wrist_right"][:, :2], truth[:, :2], atol=2e-3)
-    with pytest.raises(RecordingError, match="right hand is not known in 25% of the frames"):
+    with pytest.raises(RecordingError, match="right hand is unknown in 25% of the frames"):
         write("spider", tmp_path / "none", [lost(slice(5, 15))])
 
 

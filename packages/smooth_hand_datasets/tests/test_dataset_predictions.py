@@ -162,7 +162,7 @@ class Evil:
             r"\(21, 3\) were expected",
         ),
         ([[7, "pred_keypoints_3d"]], "a hand of frame 0 must be a table"),
-        ("pred_keypoints_3d", "it holds a str; expected frames"),
+        ("pred_keypoints_3d", "it contains a str; expected frames"),
         ([{"frame": 10**7, "is_right": 1, "pred_keypoints_3d": 0}], "a frame's number"),
         ([{"frame": 900_000, "is_right": 1, "pred_keypoints_3d": np.zeros((21, 3))}], "memory"),
         ([["pred_keypoints_3d", Evil()]], "which is not data"),
