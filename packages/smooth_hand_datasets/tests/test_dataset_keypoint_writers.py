@@ -237,10 +237,10 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path, cube):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"world": CAMERA}, "not known in a world with gravity"),
-        ({"wrists": False}, "not known in a world with gravity"),
+        ({"world": CAMERA}, "unknown in a world with gravity"),
+        ({"wrists": False}, "unknown in a world with gravity"),
         ({"objects": 0}, "needs one for each hand"),
-        ({}, "the mesh of its object 'cup 0' is not known"),
+        ({}, "the mesh of its object 'cup 0' is unknown"),
         ({"mesh": Path("none.obj")}, "can't be read as the mesh"),
     ],
 )

@@ -180,8 +180,8 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
         ({"poses": np.zeros((8, 165)), "side": None}, "a whole body (SMPL-X, 165 numbers"),
         ({"side": "both"}, "side must be 'right' or 'left'"),
         ({"flat_hand_mean": None}, "add flat_hand_mean, True or False"),
-        ({"hand_pose": pose[:, :12]}, "say so with use_pca = True"),
-        ({"hand_pose": pose[:, :12], "use_pca": False}, "12 numbers, 45 without use_pca"),
+        ({"hand_pose": pose[:, :12]}, "set use_pca = True"),
+        ({"hand_pose": pose[:, :12], "use_pca": False}, "12 numbers; without use_pca, it needs 45"),
         ({"transl": None}, "it lacks transl"),
         ({"transl": layouts.PLACE["right"][:3]}, "different numbers of frames"),
         ({"fps": None}, "no timestamps"),
@@ -193,7 +193,7 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
                 "global_orient": np.tile(2 * np.eye(3), (8, 1, 1)),
                 "hand_pose": np.tile(np.eye(3), (8, 15, 1, 1)),
             },
-            "matrices that are no rotations",
+            "matrices that are not rotations",
         ),
     ):
         assert said in refused("mano", changed(tmp_path, **values), models), values
