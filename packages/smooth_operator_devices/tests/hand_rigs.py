@@ -533,6 +533,31 @@ class DexHand021(Simulated):
         self._served.close()
 
 
+class Wuji2(Simulated):
+    driver, unit, wrong = "wuji2", 0.01, "missing"
+    reports = True  # a joint that is missing in a frame has no position
+
+    def start(self) -> None:
+        from simulators.wuji_sdk import Hand as SimulatedWuji
+        from simulators.wuji_sdk import wuji_modules
+
+        self.simulate(SimulatedWuji("right", f"WH2K{next(_channels):07d}"))
+        self.monkeypatch.setitem(sys.modules, "wuji_sdk", wuji_modules(self.hand)["wuji_sdk"])
+        self.sink = f"wuji2:{self.hand.sn},table={self.on_another_hand('wuji2', 'wuji_hand')}"
+
+    def powered(self) -> bool:
+        return bool(self.hand.motors.powered.all())
+
+    def limits(self) -> list[float]:
+        return list(self.hand.effort_limits)
+
+    def restart(self) -> None:
+        self.hand.effort_limits = [1.5] * 20
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -727,6 +752,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "dex3": Dex3,
     "xhand": XHand,
     "dexhand021": DexHand021,
+    "wuji2": Wuji2,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,

@@ -26,6 +26,7 @@ MODULES = {
     "orca_core": "orca-core",
     "rerun": "rerun-sdk",
     "serial": "pyserial",
+    "wuji_sdk": "wuji-sdk",
     "xr": "pyopenxr",
     "zmq": "pyzmq",
 }
@@ -53,7 +54,16 @@ def test_the_core_names_the_extra_of_each_part(registry):
 def test_drivers_move_real_hands_and_other_sinks_do_not():
     drivers = {"ability", "allegro", "dynamixel", "feetech", "inspire", "leap", "linker", "orca"}
     real = {name for name, kind in SINKS.loadable().items() if kind.moves_real_hand}
-    assert real == drivers | {"aero", "dex3", "dexhand021", "revo2", "rohand", "wuji", "xhand"}
+    assert real == drivers | {
+        "aero",
+        "dex3",
+        "dexhand021",
+        "revo2",
+        "rohand",
+        "wuji",
+        "wuji2",
+        "xhand",
+    }
     assert all(issubclass(SINKS.load(name), HardwareSink) for name in real)
 
 

@@ -332,7 +332,7 @@ WITH_LIMITS = (
         "linker-l21",
     ),
     *("leap", "feetech-sts", "wuji", "revo2", "revo2-sdk"),
-    *("rohand", "rohand-gen1"),
+    *("rohand", "rohand-gen1", "wuji2"),
 )
 """Hands in which the driver sets what a restart loses."""
 
@@ -365,7 +365,11 @@ def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(rig, monkeypat
     assert rig.outside() == 0
 
 
-LIMITED: dict[str, dict[str, object]] = {"linker": {"limit": 60.0}, "wuji": {"limit": 300.0}}
+LIMITED: dict[str, dict[str, object]] = {
+    "linker": {"limit": 60.0},
+    "wuji": {"limit": 300.0},
+    "wuji2": {"limit": 300.0},
+}
 
 
 @pytest.mark.parametrize("rig", WITH_LIMITS, indirect=True)

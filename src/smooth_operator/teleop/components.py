@@ -187,6 +187,7 @@ _DEVICE_SINKS: Final = {
     "dex3": ("a Unitree Dex3-1", "dex3"),
     "xhand": ("a RobotEra XHand 1", ""),
     "dexhand021": ("a DexRobot DexHand021", "dexhand021"),
+    "wuji2": ("a Wuji Hand 2", "wuji2"),
     "rohand": ("an OYMotion ROHand", "rohand"),
 }
 """Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are
