@@ -227,7 +227,8 @@ def test_a_camera_that_vanishes_is_opened_again(captures, fake):
     captures.left = [4]
     source, mailbox = Webcam(), Mailbox()
     source.start(mailbox)
-    wait_for(lambda: source.health().state == "waiting" and "is gone" in source.health().detail)
+    wait_for(lambda: source.health().state == "waiting")
+    wait_for(lambda: "was disconnected" in source.health().detail)
     first = mailbox.take("right")
     assert first.session == 0
     assert first.received >= first.frame.stamp

@@ -1,4 +1,4 @@
-"""User studies of retargeters: plan, console, store, power, analysis, report.
+"""Plans, runs and analyses user studies of retargeters.
 
 A separate distribution that uses ``smooth_operator`` and adds the command ``study`` to it.
 """

@@ -1,4 +1,4 @@
-"""Chunks of a simulation: finished ones from a log, the others from workers."""
+"""Gets the chunks of a simulation: finished chunks from a log, the others from workers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dataclasses made of the tables of a settings file, by the names and types of their fields."""
+"""Makes dataclasses from tables of a settings file, by the names and types of their fields."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def record(
     lines: bool = False,
     **values: Any,
 ) -> _Record:
-    """Makes a dataclass of a table, by the names and types of its fields.
+    """Makes a dataclass from a table, by the names and types of its fields.
 
     Args:
         cls: class of the result. A text of several lines has the metadata ``lines``.

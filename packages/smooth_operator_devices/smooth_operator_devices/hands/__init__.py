@@ -1,1 +1,1 @@
-"""Real robot hands: tables of their actuators, drivers, and the sink that keeps them safe."""
+"""Real robot hands: actuator tables, drivers, and the sink that moves them safely."""

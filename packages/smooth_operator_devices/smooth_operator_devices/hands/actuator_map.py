@@ -28,7 +28,7 @@ from smooth_operator.settings import check_range
 from smooth_operator.types import Side
 
 Rest: TypeAlias = Literal["hold", "relax"]
-"""Rest of a hand without a command: stand still under power, or give way."""
+"""Behaviour of a hand without a command: hold its position under power, or relax."""
 
 _KNOWN: Final = 1e-6
 """Tolerance of the share of a joint that the actuators determine."""
@@ -45,8 +45,8 @@ class Actuator:
             One joint with weight 1 in most hands; ``{"a": 0.5, "b": 0.5}`` where one motor moves
             two joints of the model together; ``{"a": 1.0, "b": -1.0}`` for one of a differential.
         points: (drive angle [rad], command) in rising order of the angle, two or more; commands
-            rise strictly or fall strictly. In between, the map is linear; beyond, it goes on with
-            the slope of the last piece, up to ``ends``.
+            rise strictly or fall strictly. Between points, the map is linear; beyond, it continues
+            with the slope of the last piece, up to ``ends``.
         ends: lowest and highest command.
         id: number on the bus; None if it has none.
         limit: limit of current [mA], or of force, in the driver's unit; None for the table's.
@@ -254,7 +254,7 @@ class BoundMap:
         return np.array([_linear(angle, curve[0], curve[1]) for angle, curve in pairs])
 
     def clip(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
-        """Commands within the ends."""
+        """Clips commands to the ends."""
         clipped: np.ndarray = np.clip(commands, self.ends[:, 0], self.ends[:, 1])
         return clipped
 
@@ -390,8 +390,8 @@ def find_table(request: str, driver: str, side: Side) -> Path:
 
 
 def list_tables() -> list[Path]:
-    """All tables that can be named, the user's first, without the built-in ones that these
-    replace."""
+    """All tables that can be selected by name, the user's first; a user's table hides the built-in
+    table of the same name."""
     tables: dict[str, Path] = {}
     for folder in (user_tables_folder(), built_in_tables()):
         if folder.is_dir():
@@ -401,7 +401,7 @@ def list_tables() -> list[Path]:
 
 
 def read_table(path: Path) -> ActuatorMap:
-    """The table in a file.
+    """Reads the table in a file.
 
     Raises:
         ConfigError: it can't be read, an entry is wrong, or a map is not monotonic; the message

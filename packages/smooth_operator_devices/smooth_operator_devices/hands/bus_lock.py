@@ -196,7 +196,7 @@ def serial_ports() -> dict[str, str]:
 
 
 def only_port(driver: str, extra: str) -> str:
-    """The only USB serial port of this machine.
+    """Finds the only USB serial port of this machine.
 
     Raises:
         MissingExtraError: pyserial is not installed.

@@ -21,13 +21,13 @@ from smooth_operator_devices.hands.actuator_map import ActuatorMap
 
 
 class DeviceLostError(SinkError):
-    """The device is gone, unplugged or switched off, and must be opened again."""
+    """Raised if the device was unplugged or switched off; it must be opened again."""
 
 
 class WrongAnswerError(SinkError):
-    """One exchange failed: no answer in time, a wrong checksum, an invalid answer.
+    """Raised if one exchange failed: no answer in time, a wrong checksum or an invalid answer.
 
-    The next exchange may succeed. Many in a row count as a lost device.
+    The next exchange may succeed. Many failures in a row count as a lost device.
     """
 
 
@@ -89,14 +89,14 @@ class HandDevice(ABC):
     """
 
     driver: ClassVar[str]
-    """Word of the driver, for messages."""
+    """Name of the driver, for messages."""
     name: ClassVar[str]
     """Name of the hand with its article, for messages."""
     motors: ClassVar[int]
     """Number of motors; 0 if the table determines it."""
 
     _limited = False
-    """True if the hand got its limits since it was opened or relaxed."""
+    """True if the limits were written to the hand since it was opened or relaxed."""
 
     def __init__(self, table: ActuatorMap) -> None:
         if self.motors:
@@ -115,7 +115,8 @@ class HandDevice(ABC):
         return value
 
     def _check_settings(self, names: Sequence[str]) -> None:
-        """Refuse a setting of the table, or of one of its actuators, with another name."""
+        """Raise ConfigError if the table or one of its actuators has a setting with another
+        name."""
         for settings in (self._table.settings, *(a.settings for a in self._table.actuators)):
             for name in settings:
                 if name not in names:
@@ -134,7 +135,7 @@ class HandDevice(ABC):
             raise type(error)(f"{error}; {advice}") from error
 
     def _check_side(self, side: str | None, hand: str = "the hand") -> None:
-        """Refuse a hand of the other side than its table."""
+        """Raise an error if the hand is of the other side than its table."""
         if side is not None and side != self._table.side:
             raise SinkError(
                 f"{self.driver}: {hand} is a {side} hand, but {self._table.file} is for a "
@@ -197,7 +198,7 @@ class HandDevice(ABC):
 
 
 _AGREE: Final = 0.15
-"""Largest difference of two readings that agree [rad]: a finger at 10 rad/s moves so far in
+"""Largest difference of two readings that agree [rad]; a finger at 10 rad/s moves this far in
 15 ms."""
 
 _APART_S: Final = 0.01
@@ -217,7 +218,7 @@ def apart(first: Reading, second: Reading, table: ActuatorMap) -> list[int]:
 
 
 def agreed_reading(read: Callable[[], Reading], table: ActuatorMap) -> Reading:
-    """Reading of the hand that agrees with an earlier one within 0.15 rad, of three at most.
+    """Reads the hand up to three times until a reading agrees with an earlier one within 0.15 rad.
 
     Args:
         read: exchanges one question and answer with the hand.

@@ -61,7 +61,7 @@ class GuardSettings:
 
 
 class CommandGuard:
-    """Approaches slowly, keeps ends and speed, and stops joints that squeeze.
+    """Makes safe commands: approaches slowly, limits range and speed, and stops squeezing joints.
 
     A command moves on from the last one only after a new reading, by at most ``speed`` times the
     time of a step. A hand that does not answer keeps its command; after missed periods ``start``

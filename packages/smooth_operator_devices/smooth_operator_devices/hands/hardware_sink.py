@@ -61,7 +61,7 @@ _CLOSING_S: Final = 2.0
 """Time that closing waits for a bus that may hang [s]."""
 
 _MANY: Final = 0.05
-"""Share of slow cycles from which the note tells their number."""
+"""Share of slow cycles above which the note reports their number."""
 
 _HANGS_S: Final = 0.5
 """Length of a call to the bus after which the note reports it [s]."""
@@ -176,7 +176,7 @@ class HandWorker:
 
     @property
     def note(self) -> str:
-        """A note for a person; empty if all is well."""
+        """Note for the user; empty if all is well."""
         facts, since, reading = [], self._busy_since, self.reading
         if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
             facts.append(f"no answer from the bus for {waited:.1f} s")

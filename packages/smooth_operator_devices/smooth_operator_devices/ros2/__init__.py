@@ -1,4 +1,4 @@
-"""ROS 2 messages by CycloneDDS (extra ``ros2``), with or without a ROS 2 installation."""
+"""Source and sink for ROS 2 topics through CycloneDDS; needs no ROS 2 installation."""
 
 from smooth_operator.errors import require
 

@@ -1,4 +1,4 @@
-"""ROS 2 messages as classes of CycloneDDS, without a ROS 2 installation.
+"""Defines ROS 2 messages as CycloneDDS classes, without a ROS 2 installation.
 
 Fields are those of the public interface definitions, the same from Humble to Rolling, and of
 manus_ros2_msgs. The type ``std_msgs/msg/String`` is ``std_msgs::msg::dds_::String_`` in DDS.
@@ -21,7 +21,7 @@ _DEFAULTS: Final = {int32: 0, uint32: 0, float32: 0.0, float64: 0.0, str: ""}
 
 
 def _message(package: str, name: str, /, **fields: Any) -> Any:
-    """The class of a message, a dataclass with a default for each field.
+    """Makes the class of a message, a dataclass with a default for each field.
 
     Args:
         fields: name -> type, in the order of the definition; or type and default.
@@ -42,7 +42,7 @@ def _message(package: str, name: str, /, **fields: Any) -> Any:
 
 
 def type_name(kind: type[Message]) -> str:
-    """The type of a message in ROS 2: ``sensor_msgs/msg/JointState``."""
+    """Name of a message's type in ROS 2, such as ``sensor_msgs/msg/JointState``."""
     name: str = kind.__idl_typename__
     return name.replace(".msg.dds_.", "/msg/").removesuffix("_")
 
@@ -120,15 +120,15 @@ ManusGlove = _message(
 
 
 def time_of(nanoseconds: int) -> Message:
-    """The ``Time`` of a number of nanoseconds since 1970."""
+    """Converts nanoseconds since 1970 to a ``Time`` message."""
     return Time(*divmod(nanoseconds, 1_000_000_000))
 
 
 def seconds_of(time: Message) -> float:
-    """A ``Time`` as one number [s]."""
+    """Converts a ``Time`` message to seconds [s]."""
     return float(time.sec + 1e-9 * time.nanosec)
 
 
 def nanoseconds_of(time: Message) -> int:
-    """The nanoseconds of a ``Time`` since 1970."""
+    """Converts a ``Time`` message to nanoseconds since 1970."""
     return int(1_000_000_000 * time.sec + time.nanosec)

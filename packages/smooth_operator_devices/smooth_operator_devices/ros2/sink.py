@@ -1,4 +1,4 @@
-"""Commands as ROS 2 messages: ``--sink ros2``. Quaternions of messages have w last."""
+"""The sink ``ros2``, which publishes commands as ROS 2 messages, whose quaternions have w last."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def joint_message(
     velocities: list[float],
     duration: float,
 ) -> Message:
-    """Message with a command to joints.
+    """Makes the message for a command to joints.
 
     Args:
         positions: (k,) positions in the driver's unit.
@@ -101,7 +101,7 @@ class Layout:
 
 
 def table_layout(hand: Hand, table: str) -> Layout:
-    """Layout of a table for a hand, with commands within the actuators' ends.
+    """Makes the layout that a table defines for a hand, with commands within the actuators' ends.
 
     Args:
         table: a file, with ``{side}`` for the side; or the name of a table.
@@ -127,7 +127,7 @@ def table_layout(hand: Hand, table: str) -> Layout:
 
 
 def joint_layout(hand: Hand, joints: str, prefix: str = "") -> Layout:
-    """Layout of joints of a hand.
+    """Makes the layout for some joints of a hand.
 
     Args:
         joints: ``all``, ``actuated`` (joints that are not coupled to another), or names in the
@@ -161,7 +161,7 @@ def _matching(hand: Hand, pattern: str) -> list[int]:
 
 
 def pose_message(pose: Float[np.ndarray, "7"]) -> Message:
-    """A pose x y z [m] and quaternion w x y z as a message."""
+    """Converts a pose, x y z [m] and quaternion w x y z, to a message."""
     x, y, z, w, a, b, c = pose.tolist()
     return Pose(Point(x, y, z), Quaternion(a, b, c, w))
 

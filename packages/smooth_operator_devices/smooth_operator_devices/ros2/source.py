@@ -1,4 +1,4 @@
-"""Hand poses from ROS 2 topics: ``--source ros2:/hand/{side}/poses``."""
+"""The source ``ros2``, which receives hand poses from topics such as ``/hand/{side}/poses``."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class HandPoseReader:
     def read(
         self, topic: str, message: Message | RecordingError, received: float
     ) -> Sequence[Reading]:
-        """Hands of a message; empty for the pose of a wrist.
+        """Reads the hands of a message; empty for the pose of a wrist.
 
         Raises:
             RecordingError: the message can't be read.
@@ -156,7 +156,7 @@ def _matches(wrist: _WristPose, reading: Reading, received: float) -> bool:
 
 
 def _as_json(message: Message) -> dict[str, object]:
-    """A glove's message in the JSON form of bridges, without a stamp."""
+    """Converts a glove's message to the JSON form of bridges, without a stamp."""
     places = pose_rows([node.pose for node in message.raw_nodes])
     nodes = [
         {"id": node.node_id, "pos": row[:3].tolist(), "quat": row[3:].tolist()}
@@ -231,7 +231,7 @@ class Ros2Source(StreamSource):
 
     @property
     def label(self) -> str:
-        """The source in a few words."""
+        """Short human-readable name of the source."""
         return f"ROS 2 {self.topic}"
 
     def connect(self) -> Inbox:

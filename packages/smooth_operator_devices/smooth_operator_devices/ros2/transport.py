@@ -1,4 +1,4 @@
-"""ROS 2 messages over DDS, by CycloneDDS's Python binding (extra ``ros2``); needs no ROS 2.
+"""Transport of ROS 2 messages over DDS with CycloneDDS's Python binding; needs no ROS 2.
 
 A ROS 2 topic ``/a/b`` is the DDS topic ``rt/a/b``, and the samples are plain CDR (XCDR 1).
 """
@@ -93,7 +93,8 @@ class Transport:
         self.label = f"CycloneDDS, domain {number}, {_WHOM[reach]}"
 
     def publisher(self, kind: type[M], topic: str) -> Callable[[M], None]:
-        """Function that publishes messages: reliable, volatile, the last ``DEPTH`` wait."""
+        """Returns a function that publishes messages (reliable, volatile, with a queue of
+        ``DEPTH``)."""
         # It never waits for a slow subscriber: older messages are overwritten.
         qos = _qos(Policy.Reliability.Reliable(duration(milliseconds=100)), DEPTH)
         writer = DataWriter(self._participant, self._topic(kind, topic), qos=qos)

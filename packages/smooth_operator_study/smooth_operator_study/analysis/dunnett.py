@@ -1,4 +1,4 @@
-"""Tests of single and of several comparisons: t, Holm, and Dunnett with a model's correlations.
+"""Tests of single and multiple comparisons: t, Holm, and Dunnett with a model's correlations.
 
 Dunnett's single-step test compares each retargeter with the baseline. The contrasts of a fitted
 model have the correlations of its covariance, not those of a balanced one-way layout, which
@@ -33,17 +33,17 @@ from scipy.stats import multivariate_normal
 
 _PINNED: Final = 1e-13
 _FAR: Final = 8.7
-"""Limit beyond which a normal variable has no probability in double precision."""
+"""Limit beyond which the probability of a normal variable is zero in double precision."""
 _LARGEST: Final = 6.0
-"""Size from which the outside of a box equals the sum of its sides to 1e-8."""
+"""Size from which the probability outside a box equals the sum over its sides to 1e-8."""
 _DEGREE: Final = 44
 """Degree of the Chebyshev polynomial over sizes from 0 to the largest."""
 _NODES: Final = {1: (2, 2), 2: (48, 64), 3: (48, 64), 4: (30, 36), 5: (19, 22)}
-"""Number of variables -> nodes in each direction, fewer for the estimate of the error, then all."""
+"""Number of variables -> nodes in each direction: fewer for the error estimate, then all."""
 _CHECKED: Final = np.array([1.0, 2.0, 3.0, 4.0])
 """Sizes at which the two numbers of nodes are compared."""
 _CLOSE: Final = 1e-7
-"""Difference of the two rules from which SciPy's points are used instead."""
+"""Difference between the two rules above which SciPy's points are used instead."""
 _POINTS: Final = 100_000
 """Number of SciPy's points for one box."""
 _POINTS_ERROR: Final = 1e-5
@@ -51,7 +51,7 @@ _POINTS_ERROR: Final = 1e-5
 _SINGULAR_ERROR: Final = 1e-4
 """Error of a probability by SciPy's points for a singular correlation matrix."""
 _SINGULAR: Final = 1e-9
-"""Eigenvalue up to which a correlation matrix counts as singular."""
+"""Smallest eigenvalue below which a correlation matrix counts as singular."""
 _POLYGON_ERROR: Final = 1e-8
 _ANGLES: Final = 48
 """Number of nodes between two corners of a polygon."""
@@ -186,7 +186,7 @@ def outside(
 
 
 def _distinct(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "k k"]:
-    """Removes variables that equal an earlier one up to the sign."""
+    """Removes variables that equal an earlier variable up to the sign."""
     distinct: list[int] = []
     for j in range(len(correlation)):
         if not np.any(np.abs(correlation[j, distinct]) > 1 - 1e-12):

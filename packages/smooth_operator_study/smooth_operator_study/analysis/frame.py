@@ -1,4 +1,5 @@
-"""Rows of one analysis: outcome, retargeter, task, operator, standardised index of trials."""
+"""Frame of an analysis: rows of outcome, retargeter, task, operator and standardised trial
+index."""
 
 from __future__ import annotations
 
@@ -60,7 +61,7 @@ class Frame:
 
     @property
     def standardised(self) -> Float[np.ndarray, " n"]:
-        """z-score of the index; zero where it never varies."""
+        """z-score of the index; zero if the index never varies."""
         centred = self.index - self.index_mean
         return centred / self.index_sd if self.index_sd > 0 else centred
 
@@ -147,7 +148,7 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
 
 
 def check_frame(frame: Frame) -> None:
-    """Refuses rows that can't be analysed."""
+    """Raises StudyError if the rows can't be analysed."""
     if not len(frame):
         raise StudyError("there are no rows to analyse")
     if len(frame.operators) < 2:

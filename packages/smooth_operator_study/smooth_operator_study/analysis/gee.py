@@ -36,20 +36,20 @@ from smooth_operator_study.analysis.frame import Frame
 
 _ROUNDS: Final = 10
 _STEPS: Final = 50
-"""Steps of a round; after each round the fit is checked."""
+"""Number of steps per round; after each round the fit is checked."""
 _TOLERANCE: Final = 1e-12
 """Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
 _STILL: Final = 1e-10
 """Last step, over 1 + |beta|, at which a fit has converged as well: near the lowest possible
 working correlation, rounding errors of the equations exceed the tolerance."""
 _RUNAWAY: Final = 20.0
-"""Log-odds from which a fit diverges: they are a probability of 2e-9."""
+"""Log-odds above which a fit counts as diverging; they correspond to a probability of 2e-9."""
 _LONGEST: Final = 2.0
 """Largest change of a row's log-odds in one step of the bias-reduced fit."""
 _EDGE: Final = 0.01
 """Smallest eigenvalue of a working correlation that can be inverted reliably."""
 _ALONE: Final = 1 - 1e-10
-"""Leverage from which an operator alone determines a coefficient."""
+"""Leverage above which an operator alone determines a coefficient."""
 _INFINITE: Final = (
     "the GEE diverges to infinite odds: retargeter, task or trial determine success (nearly) "
     "without error"
@@ -83,7 +83,7 @@ class GeeFit:
     firth: bool = False
 
     def check_correlation(self) -> None:
-        """Refuses a working correlation near the lowest possible one."""
+        """Raises StudyError if the working correlation is near the lowest possible one."""
         if self.margin < _EDGE:
             raise StudyError(
                 "with so few trials the model could not be fitted: successes and failures of an "

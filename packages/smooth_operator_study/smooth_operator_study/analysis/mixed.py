@@ -259,7 +259,7 @@ class _Profile:
         )
 
     def minimise(self) -> Float[np.ndarray, " k"]:
-        """λ at the minimum of the criterion, none below zero, by Newton's method."""
+        """Finds λ at the minimum of the criterion, with no λ below zero, by Newton's method."""
         ratios = np.full(len(self.levels), _START)
         value = self.criterion(ratios)
         for _ in range(_STEPS):
@@ -328,7 +328,7 @@ class _Profile:
 
 
 def _step(at: _Derivatives, free: Bool[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Newton's step in the free directions; Fisher's where the criterion is not convex."""
+    """Newton's step in the free directions; Fisher's step if the criterion is not convex."""
     step = np.zeros(len(free))
     for hessian in (at.observed, at.expected, np.diag(np.diag(at.expected))):
         part = hessian[np.ix_(free, free)]

@@ -51,7 +51,7 @@ _MEANS: Final = (0.2, 0.5, 0.8)
 _CORRELATIONS: Final = (0.1, 0.3, 0.5)
 _WORDS: Final = ("negligible", "small", "medium", "large")
 NOT_SHOWN: Final = "not shown"
-"""In place of a word for the size of a difference that is not significant."""
+"""Text that replaces the word for an effect size if the difference is not significant."""
 _NO_SPREAD: Final = 1e-10
 """Share of the largest standard error of a mean below which that of a difference is zero."""
 _ROUGH: Final = 1e-6
@@ -121,7 +121,7 @@ def in_words(effect: float) -> str:
 
 
 def size_in_words(effect: float, p: float) -> str:
-    """Word for an effect size d or h of a difference that is shown; ``NOT_SHOWN`` for others.
+    """Word for the size of a significant effect d or h; ``NOT_SHOWN`` if it is not significant.
 
     An estimate near zero does not make the effect negligible: its interval may reach far.
     """
@@ -238,7 +238,8 @@ def compare(
 
 
 def check_separation(frame: Frame) -> None:
-    """Refuses success that other terms separate than single retargeters and tasks."""
+    """Raises StudyError if a combination of terms other than one retargeter or task separates
+    success."""
     rest = np.ones(len(frame), bool)
     for level in one_sided_levels(frame):
         rest &= ~level.rows
@@ -279,7 +280,7 @@ class Fit:
 
     @property
     def means(self) -> MarginalMeans:
-        """Means of the retargeters at zero of further columns: rates, times or points."""
+        """Means of the retargeters (rates, times or points), with further columns at zero."""
         means = response_means if self.outcome == "success" else linear_means
         return means(self.frame, self.beta)
 

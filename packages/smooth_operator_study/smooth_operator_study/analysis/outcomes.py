@@ -39,9 +39,9 @@ from smooth_operator_study.analysis.results import (
 )
 
 FEW_OPERATORS: Final = 10
-"""Number of operators below which asymptotic tests have a warning."""
+"""Number of operators below which asymptotic tests get a warning."""
 SKEW: Final = 1.0
-"""Skewness of residuals from which they count as skewed."""
+"""Skewness above which residuals count as skewed."""
 _HEAVY: Final = 3.0
 _UNEQUAL: Final = 2.0
 _MOST_FOR_SHAPIRO: Final = 5000
@@ -323,7 +323,7 @@ def _index_facts(frame: Frame) -> dict[str, float]:
 
 
 def _preferences(results: dict[Mode, ScopeResult], unit: str) -> tuple[str, ...]:
-    """Note on the operators' differences in which retargeter suits them, if there are any."""
+    """Note on how much operators differ in which retargeter suits them; empty if they do not."""
     exact = results.get("small-sample")
     variances = {} if exact is None or exact.refused else exact.model.get("variances", {})
     spreads = [
@@ -337,7 +337,7 @@ def _preferences(results: dict[Mode, ScopeResult], unit: str) -> tuple[str, ...]
 
 
 def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
-    """A result without figures, and the reason."""
+    """Makes a result that contains no numbers, but the reason for the refusal."""
     return replace(blank, refused=reason, warnings=(f"not tested: {reason}", *blank.warnings))
 
 

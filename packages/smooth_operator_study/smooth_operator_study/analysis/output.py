@@ -1,4 +1,5 @@
-"""Folder of an analysis: ``results.json``, CSV tables, ``methods.txt``, ``analysis.R``, report."""
+"""Writes the folder of an analysis: ``results.json``, CSV tables, methods text, R script,
+report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Further readings of a study, next to the models that are reported.
+"""Further analyses of a study (readings), in addition to the models that are reported.
 
 Success as the full score only; the logarithm of times; equivalence by two one-sided tests
 (Schuirmann 1987); interaction of retargeter and task; the operators' rankings (Friedman's test,
@@ -46,7 +46,7 @@ _PERMUTATIONS: Final = 20_000
 
 @dataclass(frozen=True)
 class Preference:
-    """Rankings of all retargeters, 1 the best.
+    """Analysis of the operators' rankings of all retargeters, where rank 1 is the best.
 
     Attributes:
         mean_rank: mean rank of each retargeter.
@@ -56,7 +56,7 @@ class Preference:
         p_chi_squared: p-value by the limiting distribution.
         kendall_w: agreement of the operators, 0 to 1.
         operators: number of operators who ranked all retargeters.
-        left_out: number of operators who did not.
+        left_out: number of operators who did not rank all.
     """
 
     mean_rank: Mapping[str, float]
@@ -204,7 +204,7 @@ class Equivalence:
         p: larger of the two one-sided p-values; None without a margin.
         p_holm: p corrected over the other retargeters against the baseline; None in other pairs.
         equivalent: whether p is under 0.05; None without a margin.
-        smallest_margin: margin with a p of 0.05. It depends on the data, so it is no evidence.
+        smallest_margin: margin with a p of 0.05. It depends on the data, so it is not evidence.
     """
 
     a: str
@@ -376,4 +376,4 @@ def _descend(reading: str, path: tuple[str, ...], content: Any) -> Iterator[Row]
 
 
 _NOT_IN_ROWS = frozenset({"model", "diagnostics", "observed", "coefficients"})
-"""Parts of a result that other tables hold."""
+"""Parts of a result that are in other tables."""

@@ -1,4 +1,4 @@
-"""Content of both pages as plain values for JSON."""
+"""Computes the content of both pages, as plain values for JSON."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from smooth_operator_study.store.nasa_tlx import ENGLISH, HIGHEST, STEP, TlxWord
 from smooth_operator_study.store.progress import Progress, check_event
 
 TRIAL_S: Final = 40.0
-"""Assumed time of a trial before any was done [s]."""
+"""Assumed duration of a trial before the first trial was done [s]."""
 BETWEEN_S: Final = 15.0
 """Assumed time from the end of a trial to the start of the next [s]."""
 QUESTIONNAIRE_S: Final = 60.0

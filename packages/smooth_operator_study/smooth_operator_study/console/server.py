@@ -1,4 +1,4 @@
-"""Both pages and their WebSockets on one port.
+"""Serves both pages and their WebSockets on one port.
 
 A page sends ``{"type": "command", ...}`` (``.session_service``). It receives ``state`` (its whole
 content, again after each change), ``done`` and ``refused`` (with the command's token; ``again`` if
@@ -143,11 +143,11 @@ def _secret() -> bytes:
 _TICK_S: Final = 0.2
 _ALIVE_S: Final = 1.0
 _LOOK_S: Final = 1.5
-"""Time between two looks at what other processes stored, and at the teleoperation [s]."""
+"""Interval of the checks of what other processes stored, and of the teleoperation [s]."""
 _LOOK_CLOSER_S: Final = 0.4
-"""Time between two looks while a trial runs in simulation [s]."""
+"""Interval of these checks while a trial runs in simulation [s]."""
 _TROUBLE_S: Final = 10.0
-"""Time for which a failure of the store is shown after it occurred last [s]."""
+"""Time for which a failure of the store is shown after its last occurrence [s]."""
 _LARGEST: Final = 256 * 1024
 _PLACES: Final[dict[Role, int]] = {"experimenter": 16, "operator": 48}
 """Largest number of open pages of each role, counted separately."""
@@ -192,7 +192,7 @@ class Console:
         self._threads = ThreadPoolExecutor(8, "study-console")
 
     def changed(self) -> None:
-        """Draws the pages again. May be called from any thread."""
+        """Updates the pages. May be called from any thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stale.set)
 
@@ -310,7 +310,7 @@ class Console:
         page.news.set()
 
     async def _send_news(self, page: _Page) -> None:
-        """Sends news to a page; a slow page gets only the newest state."""
+        """Sends pending updates to a page; a slow page gets only the newest state."""
         from websockets.exceptions import ConnectionClosed
 
         with contextlib.suppress(ConnectionClosed):

@@ -1,4 +1,4 @@
-"""Console without a network: commands of the pages, current operator, running teleoperation.
+"""Logic of the console without the network: commands, current operator, running teleoperation.
 
 All methods may be called from any thread. A command returns when its event is on disk. It is a JSON
 object: ``token`` (unique text), ``do`` (a word below), ``operator``, ``after`` (number of the last
@@ -194,11 +194,12 @@ _TELEOP_COMMANDS: Final = (
     "withdraw",
     "undo",
 )
-"""Commands that the teleoperation takes part in."""
+"""Commands that involve the teleoperation."""
 
 
 class StoreFailedError(StudyError):
-    """The store can't be used now. The command is right, and may succeed when sent again."""
+    """Raised if the store can't be used now; the command is valid and may succeed when sent
+    again."""
 
 
 @contextmanager

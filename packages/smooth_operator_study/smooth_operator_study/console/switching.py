@@ -220,7 +220,7 @@ class SessionTeleop:
             self._look_at_trial()
 
     def watch(self, progress: Progress | None) -> str:
-        """Looks at the teleoperation; restores condition and scene of the current block.
+        """Checks the teleoperation; restores condition and scene of the current block.
 
         Returns:
             Text to note in the log; empty for none.
@@ -442,7 +442,7 @@ def simulated_task(block: Block) -> SimulatedTask | None:
 
 
 def check_rubric(block: Block, task: SimulatedTask) -> None:
-    """Refuses a plan whose rubric gives another score than the scene for the same line."""
+    """Raises StudyError if the plan's rubric and the scene give the same line different scores."""
     planned = {line.name: line.score for line in block.task.rubric}
     for line in task.task.rubric:
         if planned.get(line.name, line.score) != line.score:

@@ -1,4 +1,4 @@
-"""Readers of a study: tables, JSON files, folders; errors are listed by row and column."""
+"""Reads the data of a study from tables, JSON files or folders; lists errors by row and column."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _SHOWN = 8
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _MOST_COUNT = 10**9
-"""Largest number of a block or trial; whole numbers of a table fit into 64 bits."""
+"""Largest accepted block or trial number, so that whole numbers of a table fit into 64 bits."""
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Checked:
         self.problems.append(f"{self.unit} {number}, column {column}: {text}")
 
     def raise_if_any(self) -> None:
-        """Refuses the table if it has problems."""
+        """Raises StudyError if the table has problems."""
         if not self.problems:
             return
         shown = "\n  ".join(self.problems[:_SHOWN])
@@ -145,7 +145,7 @@ class Checked:
 
 
 def is_missing(value: Any) -> bool:
-    """True if a field is empty or holds a word for a missing value."""
+    """True if a field is empty or contains a word for a missing value."""
     return (
         value is None
         or (isinstance(value, str) and value.strip().lower() in _MISSING)
@@ -154,7 +154,7 @@ def is_missing(value: Any) -> bool:
 
 
 def _number(value: Any) -> float | None:
-    """Reads a finite number; None if the value is none."""
+    """Reads a finite number; None if the value is not a finite number."""
     if isinstance(value, bool) or is_missing(value):
         return None
     if isinstance(value, str) and not _NUMBER.fullmatch(value.strip()):
@@ -171,7 +171,7 @@ METRIC_COLUMNS: Final = ("operator", "retargeter")
 
 
 def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Makes trials of a table with all of ``TRIAL_COLUMNS``.
+    """Makes trials from a table with all of ``TRIAL_COLUMNS``.
 
     Returns:
         The trials, and notes on their oddities.
@@ -210,7 +210,7 @@ def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
 
 def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Makes questionnaires of a table with all of ``QUESTIONNAIRE_COLUMNS``.
+    """Makes questionnaires from a table with all of ``QUESTIONNAIRE_COLUMNS``.
 
     Returns:
         The questionnaires, and notes on their oddities.
@@ -243,7 +243,7 @@ def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
 
 def make_metrics(table: Checked) -> pd.DataFrame:
-    """Makes metrics from simulation of a table."""
+    """Makes simulation metrics from a table."""
     names = [column for column in table.rows[0][1] if column not in METRIC_COLUMNS]
     if not names:
         table.problems.append("expected operator, retargeter, and one column per metric")
@@ -344,7 +344,7 @@ _KINDS: Final = {
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
 _SIMULATED: Final = "simulation.json"
-"""Name of the file of virtual operators that holds their plan."""
+"""Name of the file that contains the plan of virtual operators."""
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
 """Columns that identify a table in which others are missing."""
 

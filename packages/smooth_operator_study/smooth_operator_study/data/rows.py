@@ -70,7 +70,7 @@ SUCCESS: Final = 0.5
 
 
 def trials_table(columns: Mapping[str, Any]) -> pd.DataFrame:
-    """Makes the table of trials, one a row.
+    """Makes the table of trials, with one row per trial.
 
     Args:
         columns: ``operator``, ``task`` and ``retargeter``, names; ``block``, ``trial_in_block`` and
@@ -84,7 +84,7 @@ def trials_table(columns: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def questionnaires_table(columns: Mapping[str, Any]) -> pd.DataFrame:
-    """Makes the table of NASA-TLX answers, one questionnaire a row.
+    """Makes the table of NASA-TLX answers, with one row per questionnaire.
 
     Args:
         columns: ``operator``, ``task`` and ``retargeter``, names; ``block``, from 1; ``point``, 1,
@@ -126,7 +126,7 @@ class StudyData:
         questionnaires: all questionnaires, see ``questionnaires_table``; None without any.
         metrics: metrics of an operator's motion with a retargeter, from simulation: ``operator``,
             ``retargeter`` and a column for each metric, NaN where one is missing; None without any.
-        notes: oddities of the data that are no reason to refuse them.
+        notes: oddities in the data that are not a reason to refuse them.
         sources: names of the files.
         plan: protocol of the study; None if only tables are known.
         orders: orders of the conditions in the plan; empty if unknown.

@@ -39,11 +39,11 @@ _APART_S: Final = 1.0  # between trials that are put together
 
 @dataclass(frozen=True, eq=False)
 class Take:
-    """A recording of teleoperation, with the frames that a command answered.
+    """A recording of teleoperation, reduced to the frames from which a command was computed.
 
     Attributes:
         recording: T frames of the human hand.
-        commands: T commands that answer them.
+        commands: T commands, one computed from each frame.
         hand: robot hand.
         begin: time of stamp 0, UTC.
         alignments: stamp of the first use [s] and alignment, in order.
@@ -121,7 +121,7 @@ def _measured(name: str, trace: Trace) -> float | None:
 
 
 def _together(traces: Sequence[Trace]) -> Trace:
-    """Joins trials into one trace."""
+    """Joins the traces of trials into one trace."""
     stamps, now = [], 0.0
     for trace in traces:
         stamps.append(trace.stamps - trace.stamps[0] + now)

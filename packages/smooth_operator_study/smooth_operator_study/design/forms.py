@@ -93,7 +93,7 @@ class Form:
 
     @property
     def heading(self) -> str:
-        """Title on the page; the name where there is none."""
+        """Title on the page; the form's name if it has no title."""
         return self.title or self.name
 
     def __post_init__(self) -> None:
@@ -137,7 +137,7 @@ class Form:
 
 
 def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
-    """Describes the valid answers of a field; empty if the value is one."""
+    """Describes the valid answers of a field; empty if the value is valid."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     match field.kind:
         case "text":

@@ -1,4 +1,4 @@
-"""Plan of a study: balanced orders (Williams squares), enrolled operators, schedule of blocks."""
+"""Plan of a study: balanced orders (Williams squares), enrolled operators and block schedule."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def imbalances(plan: Plan) -> Iterator[str]:
 _USED: Final = 1e6
 """Weight of earlier uses of a row. It exceeds all weights of uneven places."""
 _REPEATED: Final = 1e12
-"""Weight of a row that the operator has already: chosen only if no other is left."""
+"""Weight of a row that the operator already has, so that it is chosen only if no other is left."""
 Orders: TypeAlias = tuple[tuple[str, ...], ...]
 
 

@@ -1,4 +1,4 @@
-"""Plan as ``study.toml``, and the files next to it: schedule and pre-registration."""
+"""Reads and writes a plan as ``study.toml``, and its schedule and pre-registration."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
     Condition: {"method": "", "label": "information that operators may see"},
     Task: {"trials": "in a block", "rubric": ""},
 }
-"""Entries that are written also if they have their default, and their comments."""
+"""Entries that are written even if they have their default value, and their comments."""
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -75,7 +75,7 @@ def read_plan(path: str | Path) -> Plan:
 
 
 def plan_of(table: dict[str, Any], file: str) -> Plan:
-    """Makes a plan of the content of its file.
+    """Makes a plan from the content of its file.
 
     Args:
         table: table that TOML or JSON gives.
@@ -85,7 +85,7 @@ def plan_of(table: dict[str, Any], file: str) -> Plan:
 
 
 def write_plan(plan: Plan, path: str | Path) -> Path:
-    """Writes ``study.toml``, whole or not at all.
+    """Writes ``study.toml`` atomically.
 
     Args:
         plan: plan of the study.

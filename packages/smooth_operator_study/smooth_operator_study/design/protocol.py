@@ -20,7 +20,7 @@ POOLED: Final = "pooled"
 """Name of the scope of all tasks together; the other scopes are the tasks."""
 PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
 FEW_OPERATORS: Final = 6
-"""With fewer operators only very large differences can be shown."""
+"""Number of operators below which only very large differences can be shown."""
 ALPHA: Final = 0.05
 """Significance level of all tests."""
 TESTED_OPERATORS: Final = 5
@@ -30,7 +30,7 @@ _LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
 
 
 def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None:
-    """Refuses a primary endpoint that the study does not measure.
+    """Raises an error if the study does not measure the primary endpoint.
 
     Args:
         primary: ``OUTCOME/SCOPE``; empty for none.
@@ -85,7 +85,7 @@ Point: TypeAlias = Literal["initial", "midpoint", "final"]
 """Time of a questionnaire: after the first, the middle or the last trial of a block."""
 POINTS: Final[tuple[Point, ...]] = get_args(Point)
 SCORES: Final = (0.0, 0.5, 1.0)
-"""Failure, marginal success, success."""
+"""Possible scores of a trial: failure, marginal success and success."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Runs thousands of simulated studies in processes, stores finished ones, and reports power.
 
-The seed of a study depends on its settings and its number only: any number of workers, and any
-interruption, give the same figures.
+The seed of a study depends only on its settings and its number, so the results do not depend on the
+number of workers or on interruptions.
 """
 
 from __future__ import annotations
@@ -266,7 +266,7 @@ def verdicts(
 
 
 def _verdict(blank: Verdict, result: ScopeResult, baseline: str) -> Verdict:
-    """Decides by the tests of a model."""
+    """Makes the verdict from the tests of a model."""
     count = len(result.emm)
     if result.refused is not None or len(result.pairs) < count * (count - 1) // 2:
         return replace(blank, refused=result.refused or "a difference has no estimated error")
@@ -360,7 +360,7 @@ TITLES: Final[dict[Outcome, str]] = {"success": "success", "time": "time", "tlx"
 ENOUGH: Final = 0.8
 """Usual target for the power."""
 MOST_ERROR: Final = 0.07
-"""Family-wise error from which a test is unreliable: 5 % and the error of the simulation."""
+"""Family-wise error above which a test is unreliable: 5 % plus the error of the simulation."""
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
 
 

@@ -149,7 +149,8 @@ def assumptions_for(
 
 
 def planned_data(plan: Plan) -> StudyData:
-    """Makes the rows of a planned study without dropouts: all trials fail, no answer is there."""
+    """Makes the rows of a planned study without dropouts; all trials fail and all answers are
+    missing."""
     blocks = list(plan.schedule())
     trials = [
         _place(block)

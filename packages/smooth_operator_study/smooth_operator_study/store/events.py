@@ -234,7 +234,7 @@ class BlockEnded(
     due=("start_block", "start_familiarisation", "start_trial", "questionnaire"),
     line="Block {0.block} of {0.task} ended early: {0.reason}",
 ):
-    """The rest of a block is left out.
+    """A block was ended early, so its remaining trials are left out.
 
     Attributes:
         reason: reason to end the block.
@@ -360,7 +360,7 @@ def payload(event: Event) -> dict[str, Any]:
 
 
 def event_of(kind: str, values: Mapping[str, Any]) -> Event:
-    """Makes an event of its kind and fields, checked as far as possible without the plan."""
+    """Makes an event from its kind and fields; checks what can be checked without the plan."""
     if kind not in EVENTS:
         raise StudyError(f"no event is called {kind!r}; expected one of {', '.join(EVENTS)}")
     cls, entries = EVENTS[kind], Entries(f"event {kind!r}", values, StudyError)

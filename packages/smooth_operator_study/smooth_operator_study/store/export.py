@@ -1,4 +1,4 @@
-"""Stored data as files for analysis: two tables, and one JSON file with everything.
+"""Exports stored data to files for analysis: two tables, and one JSON file with everything.
 
 ``trials.csv`` and ``tlx.csv`` hold the rows that count. ``study.json`` holds the same rows with
 more columns, and the whole log: void trials, undone events, notes, breaks. ``study analyze`` reads

@@ -1,4 +1,4 @@
-"""NASA-TLX: its six scales in the published words or another language, and its score.
+"""NASA-TLX questionnaire: its six scales, in the published wording or another language, its score.
 
 The workload is the unweighted mean of the scales (raw TLX, Hart 2006).
 """
@@ -73,7 +73,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class TlxWords:
-    """Words of the operator's page.
+    """Texts of the NASA-TLX on the operator's page.
 
     Attributes:
         scales: the six scales, in the order of ``SCALE_NAMES``.

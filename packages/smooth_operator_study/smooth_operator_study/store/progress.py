@@ -144,7 +144,7 @@ class Trial:
 
     @property
     def paused(self) -> bool:
-        """True while the clock of the trial stands."""
+        """True while the clock of the trial is paused."""
         return bool(self.pauses) and self.pauses[-1][1] is None
 
     def end_pause(self, seconds: float) -> None:
@@ -357,7 +357,7 @@ class Progress:
     # Changes by events.
 
     def apply(self, record: Record) -> None:
-        """Checks and folds one more event."""
+        """Checks one more event and applies it."""
         check_event(self, record.event)
         if record.number != self.number + 1:
             raise StudyError(
@@ -371,7 +371,7 @@ class Progress:
             self._fold(record)
 
     def _fold(self, record: Record) -> None:
-        """Changes the progress by an event that was checked before."""
+        """Updates the progress with an event that has been checked."""
         self.effective.append(record)
         event, at = record.event, record.at
         last = self.trials[-1] if self.trials else None
@@ -454,7 +454,7 @@ def replay(plan: Plan, operator: str, records: Iterable[Record]) -> Progress:
 
 
 def check_event(state: Progress, event: Event) -> None:
-    """Refuses an event that is not due; changes nothing."""
+    """Raises StudyError if an event is not due; changes nothing."""
     step = state.step
     match event:
         case Noted():

@@ -67,7 +67,7 @@ AUTHORS: Final = ("experimenter", "operator", "system")
 
 
 class Clock:
-    """Time of day at the start of the program, and from then on a clock that only runs on.
+    """Clock that starts at the time of day and then only moves forward.
 
     Args:
         wall: time of day [s since 1970].
@@ -81,7 +81,8 @@ class Clock:
         self._start = datetime.fromtimestamp(wall(), UTC) - timedelta(seconds=steady())
 
     def now(self) -> datetime:
-        """Returns this moment in UTC, later than all before even if the machine's clock is set."""
+        """Returns the current time in UTC; never goes back, even if the machine's clock is
+        changed."""
         return self._start + timedelta(seconds=self._steady())
 
 
@@ -107,7 +108,7 @@ def open_study(target: str | Path, plan: Plan | None = None) -> StudyStore:
 
 
 class StudyStore:
-    """A study in a file; made by ``open_study``. All methods may be called from any thread.
+    """Store of a study in a file; created by ``open_study``. All methods are thread-safe.
 
     Args:
         target: folder of a study, or its SQLite file, which is created if missing.
@@ -354,7 +355,7 @@ class StudyStore:
             )
 
     def _check_file(self) -> None:
-        """Refuses a file that was deleted or moved away; SQLite would write into it silently."""
+        """Raises OSError if the file was deleted or moved; SQLite would silently write into it."""
         try:
             now = os.stat(self._path).st_ino
         except FileNotFoundError:
@@ -435,7 +436,7 @@ def record_of(row: Row) -> Record:
 
 
 def _now() -> str:
-    """This moment in UTC as ISO 8601 text."""
+    """The current time in UTC as ISO 8601 text."""
     return datetime.now(UTC).isoformat()
 
 

@@ -40,7 +40,7 @@ _ACROSS: Final = 4
 """Largest number of panels in a row."""
 _BINS: Final = 10
 _NARROWEST: Final = 7.0
-"""Smallest width of a figure [inch]: one of a single panel would be lost on the page."""
+"""Smallest width of a figure [inch]; a narrower single panel would look lost on the page."""
 
 
 def _panels(

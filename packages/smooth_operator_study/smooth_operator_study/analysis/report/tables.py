@@ -1,4 +1,4 @@
-"""Texts of the report: numbers and names, rows of longer tables, the conclusion at its top."""
+"""Texts of the report: formatted numbers and names, rows of long tables, and the conclusion."""
 
 from __future__ import annotations
 
@@ -276,8 +276,8 @@ def conclusion(analysis: Analysis) -> list[str]:
     """Writes the result in five sentences: the data, each outcome, and what limits them.
 
     The primary outcome comes first; the others are called exploratory. All differences have effect
-    sizes and simultaneous intervals. A difference that is not shown is no evidence of equality, and
-    the text says so.
+    sizes and simultaneous intervals. A difference that is not shown is not evidence of equality,
+    and the text says so.
     """
     outcome, scope = primary_of(analysis)
     order = sorted(OUTCOMES, key=lambda one: one != outcome)
@@ -396,7 +396,8 @@ def _learned(analysis: Analysis) -> list[str]:
 
 
 def _logarithms(analysis: Analysis, scope: str) -> list[str]:
-    """Says where skewed times and their logarithms lead to other conclusions."""
+    """Says whether the analysis of log times leads to other conclusions than that of skewed
+    times."""
     result, logs = analysis.results[MODES[0]]["time"][scope], analysis.readings.log_time[scope]
     if abs(result.diagnostics.get("skewness", 0.0)) <= SKEW or logs.refused is not None:
         return []
