@@ -553,7 +553,7 @@ def test_joints_that_nothing_moves_are_reported(tmp_path):
     text = text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
     found = found_in(tmp_path, text, "model.xml")
     assert sure(found, "coupled") < UNSURE
-    assert f"1 joints stand still, because they have no motor and follow no joint: {last}" in (
+    assert f"joints without a motor or a leader do not move (1): {last}" in (
         because(found, "coupled")
     )
 

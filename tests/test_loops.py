@@ -203,7 +203,7 @@ def test_a_loop_that_no_polynomial_fits_is_refused_with_its_error(run, tmp_path,
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "own"))
     status, _, err = run("hands", "add", str(path))
     assert status == 2
-    assert "joint 'index_pip' of a closed loop is no polynomial of one other joint" in err
+    assert "joint 'index_pip' of a closed loop is not a polynomial of one other joint" in err
     assert "is up to 0.8 degrees off, more than 0.5" in err
     assert not (tmp_path / "own").exists()
 

@@ -1,7 +1,7 @@
-"""From a URDF or MJCF to the description of a hand, and the checks of a description.
+"""Derives the description of a hand from a URDF or MJCF file, and checks descriptions.
 
 ``discover`` makes the description and states a confidence for each finding. ``check_hand`` gives
-the checklist of a hand, ``round_trip`` asks one retargeter for poses that its hand can reach.
+the checklist of a hand; ``round_trip`` asks one retargeter for poses that its hand can reach.
 Nothing here prints.
 """
 

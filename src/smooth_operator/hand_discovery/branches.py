@@ -72,7 +72,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class HandTree:
-    """A palm with its fingers in any order, and the chains that are no fingers (``left_out``)."""
+    """A palm with its fingers in any order, and chains that are not fingers (``left_out``)."""
 
     palm: int
     chains: tuple[Chain, ...]
@@ -92,7 +92,7 @@ class Branches:
         self._fingers = fingers
         self._rest = skeleton.place(skeleton.reference)
         self.reasons: list[str] = []
-        """Reasons why branching bodies are no palms."""
+        """Reasons why bodies with branches are not palms."""
 
     @cached_property
     def leaves(self) -> tuple[int, ...]:
@@ -264,7 +264,7 @@ class Branches:
         return HandTree(palm, tuple(branch), tuple(left_out))
 
     def _is_bar(self, chain: Chain, finger: Chain) -> bool:
-        """True if a chain is a bar of a finger's linkage; their lengths are without a wrist."""
+        """True if a chain is a bar of a finger's linkage; lengths do not include a wrist."""
         shared = _common(chain, finger)
         mine, theirs = chain.joints[shared:], finger.joints[shared:]
         bar = self.chain(chain.palm, chain.last, shared)
@@ -314,7 +314,7 @@ class Branches:
         return any(holds(self._skeleton, chain, name) for name in self._fingers)
 
     def _fault(self, hand: HandTree) -> str | None:
-        """Reason why this is no hand; None if it may be one."""
+        """Reason why this is not a hand; None if it may be one."""
         chains = hand.chains
         names = ", ".join(self._name(c) for c in chains[:6]) + (", …" if len(chains) > 6 else "")
         wheels, pinned = (

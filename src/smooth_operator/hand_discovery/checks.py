@@ -26,8 +26,8 @@ class Check:
     Attributes:
         name: name of the check.
         verdict: verdict of the check.
-        measured: the measurement as a text.
-        advice: advice to the user; empty if all is well.
+        measured: the measurement as text.
+        advice: advice to the user; empty if nothing is wrong.
         figures: the measurement as plain numbers and strings.
     """
 

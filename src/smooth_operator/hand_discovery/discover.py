@@ -470,9 +470,9 @@ def find_couplings(
 ) -> tuple[tuple[FoundCoupling, ...], Finding]:
     """Couplings among a hand's joints, and the finding about them.
 
-    A coupling that leaves its follower no room has a low confidence: a sign in the file is wrong.
-    The loader has turned it if that gives the follower room. A joint that neither a motor nor
-    another joint moves stands still, although the real one may be coupled.
+    A coupling that leaves its follower no room to move has a low confidence, because a sign in the
+    file is wrong. The loader has changed the sign if this gives the follower room. A joint without
+    a motor or a leader does not move, although the real one may be coupled.
     """
     names = {skeleton.joint_names[j] for j in joints}
     tendons = _on_tendons(skeleton)
@@ -514,8 +514,7 @@ def find_couplings(
     if idle := _idle_joints(skeleton, joints):
         least = _IDLE
         notes.append(
-            f"{len(idle)} joints stand still, because they have no motor and follow no joint: "
-            f"{', '.join(idle)}"
+            f"joints without a motor or a leader do not move ({len(idle)}): {', '.join(idle)}"
         )
     value = f"{len(couplings)} joints" if couplings else "none"
     return tuple(couplings), Finding("coupled", value, least, tuple(notes), overrule)
@@ -532,7 +531,7 @@ def _idle_joints(skeleton: Skeleton, joints: frozenset[int]) -> list[str]:
 
 
 def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
-    """Notes about chains that are no fingers, and about joints that can make a full turn."""
+    """Notes about chains that are not fingers, and about joints that can make a full turn."""
     if tree.left_out:
         yield (
             f"not used: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "

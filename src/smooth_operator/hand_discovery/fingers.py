@@ -33,7 +33,7 @@ class FlexionAxes:
     """Pointing and closing directions of the fingers other than the thumb, palm frame.
 
     Attributes:
-        names: fingers that fold clearly one way.
+        names: fingers that clearly fold in one direction.
         forward: (f, 3) unit vectors from base to tip of the straight fingers.
         closing: (f, 3) unit vectors at right angles to ``forward``: motion of the tips when the
             fingers fold.
@@ -61,13 +61,13 @@ class FlexionAxes:
 
 
 def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes | None:
-    """Finds the closing direction of each finger: that of the flexion that folds it.
+    """Finds the direction in which each finger closes when its flexion joints fold it.
 
     Args:
         sound: fingers with a sound tip.
 
     Returns:
-        The axes; None if no finger folds clearly one way.
+        The axes; None if no finger clearly folds in one direction.
     """
     hand = samples.hand
     names, forward, closing, bases, lengths = [], [], [], [], []
@@ -236,7 +236,7 @@ _LONG: Final = 1.7  # largest last phalanx over the longest other one; built-in 
 
 
 def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
-    """Checks that each tip moves, belongs to one finger, and is near its link and in no other part.
+    """Checks that each tip moves, belongs to one finger, is near its link, and not in other parts.
 
     Returns:
         The check, and the fingers with a sound tip.

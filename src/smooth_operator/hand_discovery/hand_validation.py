@@ -51,12 +51,12 @@ _TRIES: Final = 40  # largest number of random poses for each requested one
 
 
 def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m"]:
-    """Random poses within the limits that a real hand can take and that are not pinches.
+    """Random poses within the limits, without pinches, that a real hand can take.
 
     The poses are uniform in every actuated joint, under two rules. No two parts of the hand overlap
     by more than a millimetre, as far as the model has shapes. The thumb's tip is at least 20 mm
-    from the other tips, because a method that closes pinches rightly leaves a closer pose. If too
-    few poses keep the rules, those with the smallest violation are added.
+    from the other tips, because a method that closes pinches correctly changes closer poses. If too
+    few poses satisfy the rules, those with the smallest violation are added.
 
     Args:
         count: number of poses.
@@ -82,7 +82,7 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m
 
 
 def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
-    """(T,) violation of the two rules of ``reachable_poses`` [m]; 0 for a pose that keeps them."""
+    """(T,) violation of the two rules of ``reachable_poses`` [m]; 0 if a pose satisfies them."""
     every = hand.full_configuration(poses)
     tips = hand.tips(every)
     gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min(axis=1)
@@ -93,7 +93,7 @@ def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T
 
 
 TOUCH_GAP: Final = 0.010
-"""Largest gap of two fingertips that can touch [m]: landmarks lie inside the pads."""
+"""Largest gap of two fingertips that can touch [m], because landmarks lie inside the pads."""
 _NEAR: Final = 0.030  # gap to all fingers above which the thumb has a fault [m]
 _MET: Final = 1e-4  # gap at which the search ends [m]
 _STARTS: Final = 4
@@ -101,10 +101,10 @@ _EVALUATIONS: Final = 60
 
 
 def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
-    """Finds the fingers with which the thumb can pinch, and the least gaps of the others.
+    """Finds the fingers with which the thumb can pinch, and the smallest gaps of the others.
 
     It measures the landmarks of the tips, and the surfaces of the last links, which touch earlier.
-    A gap is the least one within the limits, in whatever pose the other parts of the hand are.
+    A gap is the smallest within the limits, whatever the pose of the rest of the hand.
     """
     hand = samples.hand
     others = [name for name in hand.fingers if name != "thumb" and name in sound]
@@ -240,14 +240,14 @@ class RoundTrip:
     """Errors of poses after a round trip through their landmarks.
 
     Attributes:
-        tip_error_mm: (poses, F) distance of each fingertip from its place in the pose [mm], thumb
-            first.
+        tip_error_mm: (poses, F) distance of each fingertip from its position in the pose [mm],
+            thumb first.
         q_true: (poses, n) positions of all joints in the poses [rad].
-        q_found: (poses, n) positions of all joints in the answers [rad].
-        ok: share of frames with the status OK.
+        q_found: (poses, n) positions of all joints in the results [rad].
+        ok: fraction of frames with the status OK.
         limit_violations: number of frames in which a joint was outside its limits.
-        frozen: share of the frames with a moving human in which no joint moved; None if the human
-            never moved.
+        frozen: fraction of the frames with a moving human in which no joint moved; None if the
+            human never moved.
     """
 
     tip_error_mm: Float[np.ndarray, "poses F"]
@@ -275,15 +275,14 @@ def round_trip(
     seed: int,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> RoundTrip:
-    """Retargets poses that the hand can reach, and measures the error of the answers.
+    """Retargets poses that the hand can reach, and measures the error of the results.
 
-    The human is the robot itself: for each of some random poses (``reachable_poses``), its own
-    landmarks are the input. From a fresh state they move from the neutral pose to the pose in 20
-    frames, since a live hand does not jump, and stay there for 15 frames, so that filters settle.
-    The last command counts.
+    The input is the robot's own landmarks in random poses (``reachable_poses``). From a fresh
+    state, they move from the neutral pose to the pose in 20 frames, because a live hand does not
+    jump, and stay there for 15 frames, so that filters settle. The last command counts.
 
-    The method runs as it is configured. Many methods balance a pull to the neutral pose against the
-    landmarks, and so end millimetres beside a pose that they could reach exactly. To judge a hand
+    The method runs with its configuration. Many methods balance a pull to the neutral pose against
+    the landmarks, and end millimetres away from a pose that they could reach. To judge a hand
     or a solver, remove that pull with ``MethodConfig.without_pull``.
 
     Args:
@@ -330,13 +329,13 @@ def round_trip(
 
 
 MEASURE: Final = "sbr"
-"""Method by which a description is judged: it reaches a pose that the hand can take."""
+"""Method by which a description is judged, because it reaches any pose that the hand can take."""
 GOOD_MM: Final = 3.0
 """Largest median error of ``MEASURE`` in a round trip of a sound hand [mm]."""
 _BAD_MM: Final = 10.0
 _FROZEN: Final = 0.02  # largest share of frames without motion
 _FOLLOWS_TIPS: Final = (MEASURE, "keyvector", "hybrid")
-"""Methods whose answer to a reachable pose is that pose; the others have another goal."""
+"""Methods whose result for a reachable pose is that pose; the others have another goal."""
 
 
 def check_method(
@@ -427,8 +426,7 @@ def check_hand(
     """Checks the description of a hand.
 
     A check that depends on a failed one is skipped, so that one fault gives one failure: with
-    limits in degrees nothing that moves is checked, and without sound fingertips there is no round
-    trip.
+    limits in degrees, no motion is checked, and without sound fingertips there is no round trip.
 
     Args:
         hand: name of a hand, path of a spec file, a description, or a loaded hand.

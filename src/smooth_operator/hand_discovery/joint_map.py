@@ -21,8 +21,8 @@ from smooth_operator.synthetic import SyntheticOperator
 _SECONDS: Final = 20.0  # length of the operator's motion, which has all its gestures [s]
 _RATE_HZ: Final = 20.0
 _AWAY_DEG: Final = 60.0
-"""Largest angle of a sound map. Among the built-in hands, DEX-EE has the largest with 49: its three
-fingers stand around its palm."""
+"""Largest angle of a sound map. DEX-EE has the largest of the built-in hands, 49: its three
+fingers are arranged around its palm."""
 
 
 def mapped_thumb_error(hand: Hand) -> float | None:

@@ -33,12 +33,12 @@ _CROWDED_PALM: Final = 0.25
 """Largest share of random poses in which a finger's link and the palm may overlap. Joint limits
 keep most fingers out of the palm: published models have up to 0.1, the built-in hands 0.17."""
 _CROWDED_FINGERS: Final = 0.5
-"""Largest share for links of two fingers. Neighbours that spread freely cross often (Tesollo's in
-0.44)."""
+"""Largest share for links of two fingers. Neighbours that spread freely often cross (Tesollo's in
+0.44 of the poses)."""
 
 
 def check_ranges(hand: Hand) -> Check:
-    """Checks the range of each commanded joint, which shows limits in degrees."""
+    """Checks the range of each commanded joint, which reveals limits in degrees."""
     ranges = hand.limits[:, 1] - hand.limits[:, 0]
     slides = np.array([_slides(hand, name) for name in hand.actuated_names])
     named = dict(zip(hand.actuated_names, ranges, strict=True))
@@ -153,8 +153,8 @@ def check_neutral(hand: Hand) -> Check:
 
 
 def check_shapes(samples: Samples) -> Check:
-    """Checks that links have shapes for self-collision, or estimates in their place, and that no
-    two of them overlap in a large share of random poses."""
+    """Checks that links have shapes for self-collision, or estimated ones, and that no two of them
+    overlap in a large share of random poses."""
     hand = samples.hand
     links, solid = stand_in_links(hand), int(solid_shapes(hand).sum())
     owner = owners(hand)
@@ -308,7 +308,7 @@ def check_tilt(samples: Samples) -> Check:
 
 
 def check_size(samples: Samples) -> Check:
-    """Checks the size of the hand, which shows a model in millimetres."""
+    """Checks the size of the hand, which reveals a model in millimetres."""
     hand = samples.hand
     reach = float(np.linalg.norm(samples.tips - hand.wrist, axis=-1).max())
     figures = {"reach_mm": round(1e3 * reach, 1)}

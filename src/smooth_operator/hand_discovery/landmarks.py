@@ -15,7 +15,7 @@ from smooth_operator.hands.spec import Coupling, FingerSpec, HandSpec, Point
 from smooth_operator.landmarks import FINGERS
 
 SURE: Final = 0.8
-"""Least confidence of a finding that needs no check by the user."""
+"""Smallest confidence of a finding that the user does not need to check."""
 UNSURE: Final = 0.5
 """Confidence below which a finding is little better than a guess, which the checklist marks.
 ``smooth-operator hands add`` writes no hand with such a side, palm, thumb, order or wrist."""
@@ -28,7 +28,7 @@ class Finding:
 
     Attributes:
         subject: the property: ``side``, ``palm``, ``thumb``, ``order``, ``tip of index``...
-        value: its value as a text.
+        value: its value as text.
         confidence: confidence from 0 (a guess) to 1 (stated in the model).
         evidence: reasons for the value.
         overrule: option of ``smooth-operator hands add`` that sets another value.
@@ -253,7 +253,7 @@ def _fixed(skeleton: Skeleton, at: Placement, body: int, place: np.ndarray) -> P
 def find_wrist(
     skeleton: Skeleton, palm: int, chains: tuple[Chain, ...], layout: Layout, at: Placement
 ) -> tuple[Point, float, tuple[str, ...]]:
-    """Finds the wrist on the palm: a joint or frame behind the knuckles, else the palm's heel.
+    """Finds the wrist: a joint or frame on the palm behind the knuckles, or the palm's heel.
 
     Returns:
         The point, its confidence and the reasons.
@@ -345,7 +345,7 @@ def fix_bases(
 
 
 def bases_finding(moved: dict[str, float]) -> Finding:
-    """Finding about the bases.
+    """Finding about the finger bases and whether joints move them.
 
     Args:
         moved: human finger -> travel of its base [m], as from ``fix_bases``.

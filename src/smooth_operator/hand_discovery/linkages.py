@@ -1,4 +1,4 @@
-"""Links of a model and their connections: closed loops, and a tree over their hinges."""
+"""Graph of a model's links: finds closed loops, and a tree over their hinges that opens them."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ _WELD: Final = int(mujoco.mjtEq.mjEQ_WELD)
 
 
 Kind: TypeAlias = Literal["fixed", "hinge", "slide", "ball"]
-"""How two bodies move against each other; a connection at one point is a ball joint."""
+"""How two bodies move relative to each other; a connection at one point is a ball joint."""
 
 
 class Edge(NamedTuple):
-    """A joint between two bodies: of the model's tree, or of its connections.
+    """A joint between two bodies, from the model's tree or from its connections.
 
     Attributes:
-        ends: the bodies.
-        kind: how they move.
+        ends: the two bodies.
+        kind: kind of motion between them.
         name: name of the joint.
-        joint: its index; -1 for connections.
+        joint: index of the joint; -1 for connections.
         axis: (3,) axis of a hinge or slide in the world, in the reference pose.
         anchor: (3,) a point on the axis [m].
     """
@@ -50,7 +50,7 @@ class Edge(NamedTuple):
     anchor: Float[np.ndarray, "3"] | None = None
 
     def other(self, body: int) -> int:
-        """The other end."""
+        """Returns the body at the other end."""
         return self.ends[1] if body == self.ends[0] else self.ends[0]
 
 
@@ -60,8 +60,8 @@ class Loop(NamedTuple):
     Attributes:
         base: the body that carries them all, such as the palm.
         moving: bodies of the loops.
-        parents: body that stays -> joint towards the base in the new tree, in the order from the
-            base on.
+        parents: remaining body -> joint towards the base in the new tree, in order from the
+            base.
         dropped: bodies that are left out.
     """
 
@@ -127,7 +127,7 @@ class LinkGraph:
         return int(self.model.body_parentid[body])
 
     def below(self, body: int) -> set[int]:
-        """The body and all that hang from it in the file."""
+        """The body and all bodies below it in the file."""
         return {b for b in range(self.model.nbody) if body in self._path(b)}
 
     def _path(self, body: int) -> list[int]:
@@ -195,8 +195,8 @@ class LinkGraph:
         yield from (Edge(pair, "fixed") for pair in welded)
 
     def loops(self) -> list[Loop]:
-        """Loops with common links together; those of a body that floats or is moved by hand, such
-        as a base that a ``weld`` holds, are left alone."""
+        """All loops; loops with common links are joined. Loops of a body that floats or is moved by
+        hand, such as a base that a ``weld`` holds, are not included."""
         groups: list[set[int]] = []
         for edge in self.edges[self.model.nbody - 1 :]:
             one, other = map(self._path, edge.ends)
@@ -283,13 +283,13 @@ class LinkGraph:
         return out.union(*(self.below(c) for c in more - loop.moving))
 
     def free(self, loop: Loop, motors: Sequence[int]) -> Int[np.ndarray, " f"]:
-        """Degrees of freedom of a loop, and of joints that a joint equality ties to it, without
-        those of its motors."""
+        """Degrees of freedom of a loop and of joints that joint equalities tie to it, except those
+        of its motors."""
         own = self.tied({j for b in loop.moving for j in self.joints_of(b)}) - set(motors)
         return np.flatnonzero(np.isin(self.model.dof_jntid, list(own)))
 
     def tied(self, joints: set[int]) -> set[int]:
-        """The joints, and those that joint equalities tie to them."""
+        """These joints and the joints that joint equalities tie to them."""
         model, out = self.model, set(joints)
         ties = [
             {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])} - {-1}
@@ -312,8 +312,8 @@ class LinkGraph:
     def closed(
         self, qpos: Float[np.ndarray, " nq"], free: Int[np.ndarray, " f"]
     ) -> Float[np.ndarray, " nq"] | None:
-        """The nearest pose in which the loops are closed, by Gauss-Newton steps of some degrees of
-        freedom; None if a gap is left."""
+        """Nearest pose with closed loops, by Gauss-Newton steps of some degrees of freedom; None
+        if a gap remains."""
         for _ in range(_STEPS):
             gap, jacobian = self.rows(qpos, free)
             step = np.zeros(self.model.nv)
@@ -326,7 +326,7 @@ class LinkGraph:
         return qpos if np.abs(gap).max(initial=0.0) < _OPEN else None
 
     def pose(self, qpos: Float[np.ndarray, " nq"]) -> Pose:
-        """The pose at some positions of the model."""
+        """The pose with given positions of the model's joints."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         return Pose(qpos, self.data.xmat.reshape(-1, 3, 3).copy())

@@ -1,4 +1,4 @@
-"""Writer of a model whose closed loops are opened: an MJCF with the new tree, and its meshes."""
+"""Writes a model with opened loops: an MJCF file with the new tree, and the meshes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from smooth_operator.hands.spec import Coupling
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """Joints of an open loop.
+    """Joints of a loop that was opened.
 
     Attributes:
         loop: the loop.
         leaders: name -> (2,) limits [rad].
-        couplings: all other joints.
+        couplings: couplings of all other joints.
         ranges: name -> (2,) range of any joint [rad].
         reference: name -> position in the reference pose [rad].
     """
@@ -43,13 +43,13 @@ _REFERENCES: Final = {
     "geom": ("geom", "geom1", "geom2"),
     "tendon": ("tendon", "tendon1", "tendon2"),
 }
-"""Kind of element -> attributes that name one."""
+"""Kind of element -> attributes that refer to such an element by name."""
 
 
 def write_without_loops(
     spec: mujoco.MjSpec, graph: LinkGraph, solutions: Sequence[OpenLoop], folder: Path
 ) -> str:
-    """The model as MJCF with the new trees; its meshes are copied into the folder."""
+    """Returns the model as MJCF with the new trees; copies its meshes into the folder."""
     root = ElementTree.fromstring(spec.to_xml())
     before = _names(root)
     bodies = {element.get("name", ""): element for element in root.iter("body")}

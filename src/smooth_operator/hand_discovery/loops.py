@@ -1,11 +1,11 @@
 """Opens the closed loops of a model: bars and ball joints become polynomials of joint positions.
 
-The library computes the kinematics of a tree. In some hands bars join the links to loops, which an
-MJCF closes by ``connect`` or ``weld``, and the motors turn the fingers only through these. Such a
+The library computes the kinematics of a tree. In some hands, bars and links form closed loops (in
+MJCF, by ``connect`` or ``weld``), and the motors move the fingers only through these loops. Such a
 model is opened once, when it is added:
 
-1. The links of a loop get a new tree over its hinges, from the palm outwards; two ``connect`` on a
-   line are a hinge. Rods between ball joints, cranks and bars are left out.
+1. The links of a loop get a new tree over its hinges, from the palm outwards; two ``connect`` on
+   one line are a hinge. Rods between ball joints, cranks and bars are left out.
 2. The loops are solved over the ranges of the motors, by Gauss-Newton steps on MuJoCo's equality
    rows from each pose to the next.
 3. The joints of the new tree that are nearest to the palm lead, at most as many as there are
@@ -41,7 +41,7 @@ from smooth_operator.hands.model_assets import model_path, read_model_files
 from smooth_operator.hands.spec import MOST_DEGREE, Coupling
 
 MOST_ERROR: Final = math.radians(0.5)
-"""Largest error of a polynomial in place of a loop [rad]."""
+"""Largest error of a polynomial that replaces a loop [rad]."""
 _CLOSE: Final = math.radians(0.01)  # error at which a polynomial needs no higher degree [rad]
 _POSES: Final = 225  # of a loop, over the ranges of its motors
 _MOST_PER_MOTOR: Final = 61
@@ -54,8 +54,8 @@ class OpenModel(NamedTuple):
 
     Attributes:
         path: its MJCF file, or the original if that has no loops.
-        couplings: joints that follow, in place of the loops.
-        notes: what was done, for the user.
+        couplings: followers and their polynomials, which replace the loops.
+        notes: notes to the user on the changes.
     """
 
     path: Path
@@ -69,8 +69,8 @@ def opened(path: Path) -> Iterator[OpenModel]:
     has no loops.
 
     Raises:
-        HandModelError: the model can't be read, or a loop can't be solved, or one of its joints is
-            no polynomial of another one; the message names the joint and the error.
+        HandModelError: the model can't be read, a loop can't be solved, or one of its joints is not
+            a polynomial of another one; the message names the joint and the error.
     """
     loops: list[Loop] = []
     if isfile(path) and _may_have_loops(path):  # others get their message from ``discover``
@@ -102,10 +102,10 @@ def _note(solutions: Sequence[OpenLoop], couplings: Sequence[Coupling]) -> str:
     dropped = sum(len(one.loop.dropped) for one in solutions)
     text = (
         f"the copy of the model has no closed loops: {dropped} links of the drive are left out; "
-        f"{leaders} lead, within limits that the motors reach"
+        f"{leaders} are commanded, within limits that the motors reach"
     )
     if any(len(one.leaders) > 1 for one in solutions):
-        text += ", each alone, not in all combinations"
+        text += ", one at a time but not in every combination"
     if couplings:
         error = math.degrees(max(c.error for c in couplings))
         followers = ", ".join(c.joint for c in couplings)
@@ -216,8 +216,8 @@ def _poses(graph: LinkGraph, loop: Loop, motors: list[int]) -> list[Pose]:
         names = ", ".join(repr(model.joint(j).name) for j in motors)
         raise HandModelError(
             f"the closed loop of {_words(graph, loop)} can't be solved: it closes in "
-            f"{len(poses) - 1} of {len(seen)} poses of {names}; check the ranges and the places "
-            "of the connections"
+            f"{len(poses) - 1} of {len(seen)} poses of {names}; check the ranges and the "
+            "positions of the connections"
         )
     return poses
 
@@ -264,7 +264,7 @@ def _fitted(
         return (), ()
     error, joint = min(tried)
     raise HandModelError(
-        f"joint {joint!r} of a closed loop is no polynomial of one other joint: the best one of "
+        f"joint {joint!r} of a closed loop is not a polynomial of one other joint: the best one of "
         f"degree {MOST_DEGREE} is up to {math.degrees(error):.1f} degrees off, more than "
         f"{math.degrees(MOST_ERROR):g}; narrow the ranges of the motors in the file, or describe "
         "the finger without the loop"

@@ -236,7 +236,7 @@ class Skeleton:
         return self.coupled(q)
 
     def free(self, joints: tuple[int, ...]) -> tuple[int, ...]:
-        """The joints that determine these: each follower is replaced by its leader."""
+        """The joints that determine the given ones: each follower is replaced by its leader."""
         leaders = [self.leaders[j][0] if j in self.leaders else j for j in joints]
         return tuple(dict.fromkeys(leaders))
 
@@ -281,7 +281,7 @@ class Skeleton:
         return str(self.model.body(body).name)
 
     def point(self, body: int, place: np.ndarray) -> Point:
-        """A point in a body's frame [m], rounded to the micrometre for a description."""
+        """A point in a body's frame [m] for a description, rounded to a micrometre."""
         x, y, z = (round(float(c), 6) + 0.0 for c in place)
         return Point(self.body_name(body), (x, y, z))
 
@@ -314,7 +314,7 @@ def read_skeleton(
 
     Args:
         path: URDF or MJCF file.
-        couplings: joints that follow another one, in place of what the file says of them.
+        couplings: joints that follow another one; they replace the file's couplings.
 
     Returns:
         The skeleton, and notes for the user, such as on missing meshes.

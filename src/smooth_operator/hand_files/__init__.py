@@ -1,2 +1,2 @@
-"""Files of robot hands: the user's folder, copies of models, writing of descriptions, the vendors'
-models with their meshes."""
+"""Files of robot hands: the user's folder, copies of models, spec files, and the vendors' models
+with meshes."""

@@ -17,7 +17,7 @@ from typing import Final
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 
 PREFIX: Final = "robot_descriptions:"
-"""Text before the name of a description that stands in place of a model file."""
+"""Prefix of a description's name that is given instead of a model file."""
 _SUFFIX: Final = "_description"
 
 

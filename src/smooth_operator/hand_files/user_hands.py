@@ -26,8 +26,8 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
     Args:
         spec: the hand; a description of the same name and side is replaced.
         comment: lines of a comment at the top of the file.
-        copy: True to copy the model and its meshes there too, so that the original can be moved; if
-            that is not possible, the description refers to the original.
+        copy: True to copy the model and its meshes there too, so that the original can be moved;
+            if they can't be copied, the description refers to the original.
 
     Returns:
         the file.

@@ -37,7 +37,7 @@ _Frame = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 
 def on_model(hand: Hand, path: str | Path) -> Hand:
-    """Load a hand on another model of it.
+    """Loads a hand with another model of it, such as the vendor's.
 
     Args:
         hand: a hand, not a mirrored one.
@@ -148,7 +148,7 @@ def _difference(hand: Hand, other: Hand) -> float:
 
 
 MENAGERIE: Final = "menagerie"
-"""Word that selects the package's model instead of a model file."""
+"""Word that selects the model of Menagerie's package instead of a model file."""
 
 _ENTRIES: Final[dict[tuple[str, Side], tuple[str, str]]] = {
     ("allegro_hand", "right"): ("wonik_allegro", "right_hand"),
@@ -165,7 +165,7 @@ _ENTRIES: Final[dict[tuple[str, Side], tuple[str, str]]] = {
 
 
 def drawn_on(hand: Hand, model: str | Path) -> Hand:
-    """Load a hand on a model with the real meshes.
+    """Loads a hand with a model that has the real meshes.
 
     Args:
         hand: a hand, not a mirrored one.
@@ -179,7 +179,7 @@ def drawn_on(hand: Hand, model: str | Path) -> Hand:
 
 
 def hand_with_meshes(hand: Hand, model: str | Path | None = None) -> Hand | None:
-    """Load a hand on a model with its real meshes; without ``model``, nothing is downloaded.
+    """Loads a hand with its real meshes; without ``model``, nothing is downloaded.
 
     Args:
         model: MJCF or URDF file of that hand, or ``MENAGERIE``, which may be downloaded; by
@@ -212,7 +212,7 @@ def has_meshes(hand: Hand) -> bool:
 
 
 def menagerie_copy(hand: Hand) -> Path | None:
-    """The package's local copy of a hand's model; None if it has no copy."""
+    """Menagerie's local copy of a hand's model; None if there is no copy."""
     entry = _ENTRIES.get((hand.name, hand.spec.side))
     if entry is None or find_spec("mujoco_menagerie") is None:
         return None
@@ -226,7 +226,7 @@ def menagerie_copy(hand: Hand) -> Path | None:
 
 
 def menagerie_file(hand: Hand) -> Path:
-    """The package's model of a hand, downloaded if necessary.
+    """Menagerie's model of a hand, downloaded if necessary.
 
     Raises:
         HandModelError: the package has no model of this hand and side, or can't download it.

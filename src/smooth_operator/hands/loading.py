@@ -293,7 +293,7 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
     """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
 
     The joint without an actuator follows. If the polynomial has a higher degree than 1, q1 follows
-    in any case, because the inverse is no polynomial; q2 then counts as driven.
+    in any case, because the inverse is not a polynomial; q2 then counts as driven.
     """
     actuated = _actuated(model)
     couplings = []
