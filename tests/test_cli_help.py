@@ -94,7 +94,7 @@ def test_help_is_wrapped_once_and_fits(width, monkeypatch):
 
 def test_rare_options_are_in_the_long_help_alone(monkeypatch):
     short, whole = (printed(monkeypatch, "teleop", word) for word in ("--help", "--help-all"))
-    assert len(short.split()) <= 700
+    assert len(short.split()) <= 850  # 39 sources and sinks are a third of it
     assert "--help-all" in short
     listed = set(re.findall(r"^│ (--[a-z][\w.-]*)", short, re.MULTILINE))
     assert {"--source", "--sink", "--hand", "--method", "--estop"} <= listed
