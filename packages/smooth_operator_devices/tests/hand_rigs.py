@@ -558,6 +558,26 @@ class Wuji2(Simulated):
         """There is nothing to close."""
 
 
+class Revo3(Simulated):
+    driver, unit, wrong = "revo3", 0.3, "timeout"
+
+    def start(self) -> None:
+        from simulators.revo3_sdk import Revo3 as SimulatedRevo3
+        from simulators.revo3_sdk import revo3_modules
+
+        port = str(self.folder / "ttyRevo3")
+        self.simulate(SimulatedRevo3("right", port))
+        for name, module in revo3_modules(self.hand).items():
+            self.monkeypatch.setitem(sys.modules, name, module)
+        self.sink = f"revo3:{port},table={self.on_another_hand('revo3', 'sharpa_wave')}"
+
+    def powered(self) -> bool:
+        return bool(self.hand.sent) and bool(self.hand.motors.powered.all())
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -753,6 +773,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "xhand": XHand,
     "dexhand021": DexHand021,
     "wuji2": Wuji2,
+    "revo3": Revo3,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,

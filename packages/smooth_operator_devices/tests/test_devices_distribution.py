@@ -19,6 +19,7 @@ PROJECT, CORE = (
     for folder in (HOME, HOME.parents[1])
 )
 MODULES = {
+    "bc_revo3_sdk": "bc-revo3-sdk",
     "bc_stark_sdk": "bc-stark-sdk",
     "can": "python-can",
     "dynamixel_sdk": "dynamixel-sdk",
@@ -59,6 +60,7 @@ def test_drivers_move_real_hands_and_other_sinks_do_not():
         "dex3",
         "dexhand021",
         "revo2",
+        "revo3",
         "rohand",
         "wuji",
         "wuji2",

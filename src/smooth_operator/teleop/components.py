@@ -188,6 +188,7 @@ _DEVICE_SINKS: Final = {
     "xhand": ("a RobotEra XHand 1", ""),
     "dexhand021": ("a DexRobot DexHand021", "dexhand021"),
     "wuji2": ("a Wuji Hand 2", "wuji2"),
+    "revo3": ("a BrainCo Revo 3", "revo3"),
     "rohand": ("an OYMotion ROHand", "rohand"),
 }
 """Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are

@@ -44,7 +44,7 @@ class CanBus:
         self._can, self._driver, self._port, self._fd = can, driver, port, fd
         self._sending = threading.Lock()  # frames of two threads must not mix on a serial adapter
         try:
-            more = {"fd": True, "data_bitrate": DATA_BITRATE} if fd else {}
+            more: dict[str, Any] = {"fd": True, "data_bitrate": DATA_BITRATE} if fd else {}
             self._bus: Any = can.Bus(interface=interface, channel=channel, bitrate=BITRATE, **more)
         except (can.CanError, OSError, ValueError, ImportError, NotImplementedError) as error:
             up = (

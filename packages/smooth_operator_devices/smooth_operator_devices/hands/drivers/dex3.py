@@ -101,10 +101,10 @@ class Dex3Device(HandDevice):
     def open(self) -> None:
         """Join the domain and wait for a state of the hand; see ``HandDevice``."""
         from smooth_operator_devices.hands.drivers.dex3_messages import HandCommand, HandState
-        from smooth_operator_devices.ros2.transport import Endpoint, Transport
+        from smooth_operator_devices.ros2.transport import Endpoint, Network, Transport
 
         own = bool(os.environ.get("CYCLONEDDS_URI"))
-        network = None if own else "subnet"
+        network: Network | None = None if own else "subnet"
         self._sent.clear()
         self._others = 0
         base = f"dex3/{self._table.side}"

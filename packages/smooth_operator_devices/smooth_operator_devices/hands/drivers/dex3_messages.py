@@ -15,7 +15,7 @@ import cyclonedds.idl.types as types
 @dataclass
 @annotate.final
 @annotate.autoid("sequential")
-class MotorCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):
+class MotorCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):  # type: ignore[call-arg,misc]
     """Command of a motor: mode, position [rad], velocity [rad/s], torque [N m], gains."""
 
     mode: types.uint8
@@ -30,7 +30,7 @@ class MotorCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):
 @dataclass
 @annotate.final
 @annotate.autoid("sequential")
-class HandCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandCmd_"):
+class HandCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandCmd_"):  # type: ignore[call-arg,misc]
     """Command of a hand."""
 
     motor_cmd: types.sequence[MotorCommand]
@@ -40,7 +40,7 @@ class HandCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandCmd_"):
 @dataclass
 @annotate.final
 @annotate.autoid("sequential")
-class MotorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):
+class MotorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):  # type: ignore[call-arg,misc]
     """State of a motor: position [rad], velocity [rad/s], torque [N m], two temperatures."""
 
     mode: types.uint8
@@ -58,7 +58,7 @@ class MotorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):
 @dataclass
 @annotate.final
 @annotate.autoid("sequential")
-class PressState(idl.IdlStruct, typename="unitree_hg.msg.dds_.PressSensorState_"):
+class PressState(idl.IdlStruct, typename="unitree_hg.msg.dds_.PressSensorState_"):  # type: ignore[call-arg,misc]
     """State of a field of twelve pressure sensors."""
 
     pressure: types.array[types.float32, 12]
@@ -70,7 +70,7 @@ class PressState(idl.IdlStruct, typename="unitree_hg.msg.dds_.PressSensorState_"
 @dataclass
 @annotate.final
 @annotate.autoid("sequential")
-class ImuState(idl.IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):
+class ImuState(idl.IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):  # type: ignore[call-arg,misc]
     """State of the hand's inertial sensor."""
 
     quaternion: types.array[types.float32, 4]
@@ -83,7 +83,7 @@ class ImuState(idl.IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):
 @dataclass
 @annotate.final
 @annotate.autoid("sequential")
-class HandState(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandState_"):
+class HandState(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandState_"):  # type: ignore[call-arg,misc]
     """State of a hand."""
 
     motor_state: types.sequence[MotorState]
