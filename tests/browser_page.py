@@ -8,15 +8,26 @@ from typing import Any
 import numpy as np
 from live_time import PATIENCE_S
 
+NO_DRAWING = """
+  for (const name of Object.getOwnPropertyNames(WebGL2RenderingContext.prototype))
+    if (/^draw(Arrays|Elements|RangeElements)/.test(name))
+      WebGL2RenderingContext.prototype[name] = () => {};
+"""
 
-def new_page(chromium: Any, width: int = 800, height: int = 600) -> tuple[Any, list[str]]:
+
+def new_page(
+    chromium: Any, width: int = 800, height: int = 600, drawn: bool = True
+) -> tuple[Any, list[str]]:
     """A page, and a list of its errors so far.
 
-    A software renderer takes a quarter of the time for half of the resolution.
+    A software renderer takes a quarter of the time for half of the resolution, and about a second
+    of a core for each picture of a scene: a test of controls and texts does without (``drawn``).
     """
     size = {"width": width, "height": height}
     page = chromium.new_page(viewport=size, device_scale_factor=0.5)
     page.set_default_timeout(1e3 * PATIENCE_S)
+    if not drawn:
+        page.add_init_script(NO_DRAWING)
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)

@@ -63,7 +63,7 @@ def hostile_hand(folder: Path) -> Path:
 @contextmanager
 def guarded_page(chromium: Any) -> Iterator[Any]:
     """A page on which nothing of the attack may have happened in the end."""
-    page, problems = new_page(chromium, 1100, 900)
+    page, problems = new_page(chromium, 1100, 900, drawn=False)
     yield page
     assert page.evaluate("window.__pwned") is None
     assert page.locator('img[src="x"], #bold').count() == 0

@@ -659,7 +659,7 @@ def page(chromium: Any, served: LivePage) -> Iterator[Any]:
 
 
 def opened(chromium: Any, served: LivePage, width: int = 900, height: int = 640) -> Any:
-    page, problems = new_page(chromium, width, height)
+    page, problems = new_page(chromium, width, height, drawn=False)
     page.goto(served.url)
     page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
     page.get_by_text("EMERGENCY STOP").wait_for()
@@ -947,7 +947,7 @@ def test_after_another_hand_an_open_page_shows_what_a_new_one_shows(chromium):
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no such signal")
 def test_a_page_without_a_connection_says_that_its_stop_does_not_work(chromium, stage, capfd):
     served = LivePage(PageSetup("mimic_p050", port=0, details=False, attended=True))
-    page, _ = new_page(chromium, 600, 500)
+    page, _ = new_page(chromium, 600, 500, drawn=False)
     page.goto(served.url)
     page.get_by_text("EMERGENCY STOP").wait_for()
     page.keyboard.press("x")  # before there is a loop
