@@ -68,7 +68,7 @@ def dexpilot_cost(hand: Hand, human: np.ndarray, previous: np.ndarray) -> Cost:
 
 
 def ako_cost(hand: Hand, human: np.ndarray, previous: np.ndarray) -> Cost:
-    """Yu et al. 2025: smooth-L1 of weight times length, 0.1 on the change of each joint."""
+    """Xin et al. 2025: smooth-L1 of weight times length, 0.1 on the change of each joint."""
 
     def vectors(points: np.ndarray) -> np.ndarray:
         tips = points[list(TIPS)]

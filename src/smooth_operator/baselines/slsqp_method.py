@@ -312,7 +312,7 @@ AKO: Final = _published(
     AkoObjectiveConfig(targets=AkoTargets(), pose_weight=0.0, velocity_weight=0.1),
     tolerance=1e-5,
 )
-"""Analyzing Key Objectives (Yu et al. 2025)."""
+"""Analyzing Key Objectives (Xin et al. 2025)."""
 
 
 def _fast(
