@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 from capsule_depths import depths, ends_of
+from made_hands import long_test_hands
 from trees import float64, limited_poses
 
-from smooth_operator import Hand, hand_names, load_hand
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segments_apart
 from smooth_operator.hands.finger_circles import spread_joints
@@ -52,7 +53,7 @@ def test_segments_are_nearest_where_a_search_says_so():
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize("name", long_test_hands())
 def test_what_the_measure_calls_a_collision_has_a_price(name, side):
     """Or the solver rests where its answers are thrown away."""
     hand = load_hand(name, side)

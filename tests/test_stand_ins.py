@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from capsule_depths import depths, ends_of
+from made_hands import long_test_hands
 
-from smooth_operator import Retargeter, hand_names, load_hand, method_config
+from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.cli import main
 from smooth_operator.hand_discovery.checks import Samples
 from smooth_operator.hand_discovery.discover import discover
@@ -45,7 +46,7 @@ def with_lost_meshes(hand: Hand, lost: str, folder: Path) -> Hand:
     return load_hand_spec(replace(hand.spec, model=path))
 
 
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize("name", long_test_hands())
 def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name, tmp_path):
     """Judged by the shapes that were taken away: deep poses are seen, clear ones mostly let be."""
     real = load_hand(name)
