@@ -169,8 +169,12 @@ def _rows(text: str, heading: str) -> dict[str, dict[str, str]]:
 def _drivers() -> dict[str, str]:
     """Hand -> the driver whose table of actuators names it."""
     tables = _folder("smooth_operator_devices.hands.tables").glob("*.toml")
-    found = (tomllib.loads(path.read_text(encoding="utf-8")) for path in sorted(tables))
-    return {table["hand"]: table["driver"] for table in found if "hand" in table}
+    found = {path.name: tomllib.loads(path.read_text(encoding="utf-8")) for path in sorted(tables)}
+    return {
+        table["hand"]: (found[table["base"]] if "base" in table else table)["driver"]
+        for table in found.values()
+        if "hand" in table
+    }
 
 
 def _hands() -> str:

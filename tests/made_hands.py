@@ -1,18 +1,20 @@
-"""Built-in hands that research/benchmarks/compact_hand.py made: long tests try them weekly."""
+"""Landmarks for tests that need a hand, whichever it is."""
 
-import tomllib
-from pathlib import Path
-from typing import Any
+import functools
 
-import pytest
+import numpy as np
 
-from smooth_operator.hands.registry import hand_names
-
-_RECIPES = Path(__file__).parents[1] / "research" / "benchmarks" / "compact_hands.toml"
-MADE = frozenset(tomllib.loads(_RECIPES.read_text(encoding="utf-8")))
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import Side
 
 
-def long_test_hands() -> list[Any]:
-    """All built-in hands, for a parameter ``name``; those of ``MADE`` are marked weekly."""
-    marks = {True: [pytest.mark.weekly], False: []}
-    return [pytest.param(name, marks=marks[name in MADE]) for name in hand_names()]
+def hand_points(frames: int, seed: int = 0, side: Side = "right") -> np.ndarray:
+    """(frames, 21, 3) of a built-in operator, the wrist at zero and the palm 0.095 m long."""
+    return np.resize(_operator(seed, side), (frames, 21, 3))  # over again where they are few
+
+
+@functools.cache
+def _operator(seed: int, side: Side) -> np.ndarray:
+    points = SyntheticOperator(seed=seed, side=side).record(1.0).landmarks
+    points = points - points[:, :1]
+    return points * 0.095 / np.linalg.norm(points[:, 9:10], axis=-1, keepdims=True)

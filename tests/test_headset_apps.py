@@ -612,7 +612,7 @@ def test_a_missing_headset_is_reported_and_waited_for():
         assert source.health().state == "waiting"
     other = Headset(method="/other.Service/Method")
     with connected(other.port) as (source, _):
-        until(lambda: "another program" in source.health().detail)
+        until(lambda: "without hand tracking" in source.health().detail)
     other.stop()
 
 

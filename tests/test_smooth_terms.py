@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from capsule_depths import depths, ends_of
-from made_hands import long_test_hands
+from compact_hands import long_test_hands
 from trees import float64, limited_poses
 
 from smooth_operator import Hand, load_hand

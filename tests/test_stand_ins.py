@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from capsule_depths import depths, ends_of
-from made_hands import long_test_hands
+from compact_hands import long_test_hands
 
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.cli import main

@@ -345,7 +345,7 @@ def test_a_method_that_cannot_serve_the_hand_is_a_gap(context):
     found = field_of(other, ("joint_angle", "geort"))
     assert list(found.choices) == ["joint_angle"]
     assert "geort is missing: there is no built-in GeoRT model" in found.note()
-    with pytest.raises(ConfigError, match="no method can serve"):
+    with pytest.raises(ConfigError, match="no method can be used with hand"):
         field_of(other, ("geort",))
 
 

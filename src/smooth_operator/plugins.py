@@ -164,7 +164,7 @@ class Registry(Mapping[str, Entry]):
         return len(self.built_in) + len(self.plugins)
 
     def split(self, text: str) -> tuple[str, str]:
-        """Splits a text into a name and the rest.
+        """Splits a string into a name and the rest.
 
         Args:
             text: ``NAME`` or ``package.module:attribute``, optionally followed by ``:REST`` or

@@ -141,7 +141,7 @@ def test_a_damaged_frame_does_not_end_the_source(skeleton):
         send(binary(WITH[0]))
         until(lambda: mailbox.received == 2)
         until(lambda: "1 of 2 messages could not be read" in source.health().detail)
-        until(lambda: "no message on udp" in source.health().detail)
+        until(lambda: "no message at udp" in source.health().detail)
         assert source.health().state == "waiting"
 
 

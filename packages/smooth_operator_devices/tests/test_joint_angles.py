@@ -114,7 +114,7 @@ def test_a_session_by_udp():
         assert mailbox.all[0].frame.world == "room"
         send(message())
         until(lambda: "does not contain a side" in source.health().detail)
-        until(lambda: "no message on udp" in source.health().detail)
+        until(lambda: "no message at udp" in source.health().detail)
         assert source.health().state == "waiting"
 
 

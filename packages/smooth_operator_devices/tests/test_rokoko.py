@@ -89,7 +89,7 @@ def test_a_session_has_both_hands_with_wrists(packed):
             assert sign * chirality(frame.landmarks[None])[0] > 0.25
         assert {arrival.session for arrival in mailbox.all} == {0}
         assert source.health().state == "running"
-        until(lambda: "no message on udp" in source.health().detail)
+        until(lambda: "no message at udp" in source.health().detail)
         assert source.health().state == "waiting"
 
 

@@ -185,7 +185,7 @@ def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
-    """Failures: recording and hand, methods, reason; methods with one reason together."""
+    """Failures as (recording and hand, methods with the same reason, reason)."""
     grouped: list[tuple[str, str, str]] = []
     for (recording, hand, side), own in by_panel(rows).items():
         reasons: dict[str, list[str]] = {}

@@ -25,8 +25,8 @@ work is running.
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in operator.
 Default: synthetic. Settings of one recording follow its name after an @: glove.npz@:500 (frames),
 video.npz@30hz (rate), video.npz@30hz,left,camera,100:900. Results are averaged over the
-recordings of each tracker (glove, headset, camera), then over trackers. mediapipe instead of
-camera means MediaPipe's tracker, whose pinch gaps are known.
+recordings of each tracker (glove, headset, camera), then over trackers. Write mediapipe instead
+of camera if the tracker was MediaPipe; its pinch gaps are built in.
 
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` selects each
 method with its default preset.
@@ -46,7 +46,7 @@ Examples:
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       measure a folder of recordings on every hand, in eight processes
   smooth-operator bench --physics --output out
-      measure what hands achieve in physics (needs the research distribution:
+      measure how well hands do tasks in physics (needs the research distribution:
       research/docs/physics.md)
 """
 

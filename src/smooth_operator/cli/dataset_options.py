@@ -26,8 +26,8 @@ outside the limits (--min-..., --max-...) are dropped. With --whole, clips are n
 
 FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept,
 dropped and why; work holds the retargeted clips. Run the same command again to resume a run that
-was stopped or killed, or to add new files. Changing limits or format does not cause retargeting
-again.
+was stopped or killed, or to add new files. If you change only limits
+or format, nothing is retargeted again.
 
 Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos

@@ -68,8 +68,8 @@ Examples:
     """A body or joint of the thumb."""
 
     finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
-    """Human finger that drives the robot finger with this body or joint. The option also makes a
-    chain a finger that was not detected as one."""
+    """Human finger that drives the robot finger with this body or joint. Use it also for a
+    chain that was not detected as a finger."""
 
     tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
     """Fingertip: a body of the last link, and a point in its frame [m]."""
@@ -86,7 +86,7 @@ Examples:
 
     in_place: bool = False
     """Do not copy the model: the spec file refers to the original. A model with closed loops is
-    always copied, since the copy has none."""
+    always copied, because the loops are removed in the copy."""
 
     json: bool = False
     """Print one JSON object on standard output instead of the checklist; do not serve a page."""

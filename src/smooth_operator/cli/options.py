@@ -209,7 +209,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator dataset egodex/ --hand leap_hand --output out
       convert recordings to a data set of robot episodes, filtered by quality
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
-      drive a hand live from a tracker, within limits, with a page that shows it
+      drive a hand live from a tracker, with motion limits and a live page
   smooth-operator view out.npz glove.npz
       show the commands and the recorded hand side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap

@@ -29,7 +29,7 @@ Sinks, one or several:
 {SINKS.describe()}
 
 Keys, also on the page: Space, Esc and x stop the robot; u releases the stop; p pauses and resumes;
-c toggles the clutch of the wrist; q or Ctrl-C ends the run."""
+c toggles the wrist clutch; q or Ctrl-C ends the run."""
     more: ClassVar[str] = """Settings of a source or sink follow its name: replay:glove.npz,speed=2.
 To use your own class, write package.module:Class instead of a name: mylab.driver:MySink,port=7
 (docs/how-to/plugins.md).

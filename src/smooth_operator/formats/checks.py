@@ -132,8 +132,8 @@ def check_units(
         raise RecordingError(f"{where}: {OF_A_PICTURE.what}; {OF_A_PICTURE.mend}")
     hint = _length_hint(palm) if keeps_lengths(whole) else "the lengths of its bones also change"
     raise RecordingError(
-        f"{where}: the distance from the wrist to the middle finger's MCP is {palm:.4g} (median), "
-        f"but a hand in metres has {low} to {high}; {hint}"
+        f"{where}: the median distance from the wrist to the middle finger's MCP is {palm:.4g}, "
+        f"but in metres it is {low} to {high}; {hint}"
     )
 
 

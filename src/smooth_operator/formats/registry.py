@@ -299,7 +299,7 @@ BVH: Final = Reader(
     Entry(f"{_FORMATS}.bvh:read_bvh"),
     (b"HIERARCHY", b"\xef\xbb\xbfHIERARCHY"),
     (".bvh",),
-    "joints of the fingers by the names of Axis Studio, MotionBuilder, hc_mocap, Xsens or Rokoko",
+    "finger joints, named as in Axis Studio, MotionBuilder, hc_mocap, Xsens or Rokoko",
     Entry(f"{_FORMATS}.bvh:read_bvh_hands"),
 )
 ARIA_CSV: Final = Reader(

@@ -52,7 +52,7 @@ def check_joint_map(hand: Hand) -> Check:
     away = mapped_thumb_error(hand)
     if away is None:
         return Check("joint map", "skipped", "not checked: there is no joint map for the thumb")
-    text = f"joint_angle points the thumb {away:.0f}° away from the human's, median"
+    text = f"with joint_angle, the thumb points {away:.0f}° away from the human's (median)"
     figures = {"thumb_deg": round(away, 1)}
     if away <= _AWAY_DEG:
         return Check("joint map", "ok", text, figures=figures)

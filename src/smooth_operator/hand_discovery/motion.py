@@ -501,7 +501,7 @@ def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]
     count = len(labels)
     named = _spoken(labels)
     if named and list(named) == sorted(named, key=FINGERS.index):
-        return named, 0.95, ["named according to the model's own names"]
+        return named, 0.95, ["names taken from the model"]
     names = FINGERS[1 : 1 + count]
     if count == 4:
         return names, 0.95, []

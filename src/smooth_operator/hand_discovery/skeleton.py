@@ -92,7 +92,7 @@ def _means(word: str, finger: str, initials: bool) -> bool:
 
 
 def side_said(names: Iterable[str]) -> Side | None:
-    """Side that names mention; None if they mention no side, or both equally often."""
+    """Side that the names indicate; None if they indicate no side, or both equally often."""
     votes: dict[Side, int] = {"right": 0, "left": 0}
     for name in names:
         parts = words(name)
@@ -129,7 +129,7 @@ class Placement:
         return moved
 
     def local(self, body: int, points: np.ndarray) -> np.ndarray:
-        """Positions in a body's frame of (..., 3) points in the world."""
+        """Transforms (..., 3) points from the world's frame to a body's."""
         moved: np.ndarray = (points - self.bodies[body]) @ self.frames[body]
         return moved
 

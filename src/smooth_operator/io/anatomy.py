@@ -338,7 +338,7 @@ def bone_lengths(landmarks: AnyArray) -> AnyArray:
 
 
 def misfits_of(lengths: AnyArray) -> AnyArray:
-    """Mean deviation of (..., pairs) lengths from a human hand of any size, in spreads."""
+    """Mean deviation of (..., pairs) lengths from a human hand's, in spreads of the population."""
     xp = array_namespace(lengths)
     off = xp.log(xp.maximum(lengths, 1e-9)) - _LOGS.astype(lengths.dtype)
     off = off - off.mean(axis=-1, keepdims=True)

@@ -115,7 +115,7 @@ class Correspondence:
 
     @cached_property
     def robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
-        """Bases at the straight pose and lengths of the robot's fingers [m].
+        """Base positions (straight pose) and lengths of the robot's fingers [m].
 
         The length of a long finger is measured when it is straight. A thumb is hardly ever
         straight, and many robot thumbs do not begin at their base landmark, so its length is the

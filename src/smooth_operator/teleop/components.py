@@ -35,7 +35,7 @@ _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
 def build_component(registry: Registry, text: str) -> Any:
-    """Create the source or sink that a text describes.
+    """Create the source or sink that a string such as ``replay:FILE`` describes.
 
     Args:
         registry: the parts by name, dataclasses whose first positional field is the argument.

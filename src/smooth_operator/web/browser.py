@@ -33,7 +33,7 @@ def open_page(url: str) -> None:
 
 
 def leading_to(url: str) -> Path:
-    """Writes a file of this user that redirects to a page and exists for a minute."""
+    """Writes a file that redirects to a page. It is readable by this user only, for a minute."""
     handle, name = tempfile.mkstemp(prefix="smooth-operator-", suffix=".html")  # mode 0600
     file = Path(name)
     shown = html.escape(url)

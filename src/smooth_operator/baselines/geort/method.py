@@ -339,7 +339,7 @@ def _read(arrays: StoredArrays) -> GeortModel:
         )
     named = _words(about["fingers"], "fingers")
     if not isinstance(about["joints"], list) or not isinstance(about["training"], dict):
-        raise ValueError("its joints must be a list for each finger, its training an object")
+        raise ValueError("'joints' must hold a list for each finger, 'training' a JSON object")
     joints = tuple(_words(names, "joints") for names in about["joints"])
     if len(named) != len(joints) or not joints:
         raise ValueError(f"it has {len(named)} fingers, but joints for {len(joints)}")

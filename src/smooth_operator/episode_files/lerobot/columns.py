@@ -306,7 +306,9 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
         None,
     )
     if lacks is not None:
-        raise RecordingError(f"{episode.name}: the columns of a robot need {lacks}")
+        raise RecordingError(
+            f"{episode.name}: the robot's columns can't be written without {lacks}"
+        )
     if wrist and episode.arm is not None:
         raise RecordingError(
             f"{episode.name}: a log does not contain the measured wrist of a hand on an arm; "

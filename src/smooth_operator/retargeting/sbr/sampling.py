@@ -166,7 +166,7 @@ def sample_minimise(
     size, dtype = len(limits), jnp.float32
     low, high = (jnp.asarray(limits[:, i], dtype) for i in (0, 1))
     gaussian = _ClippedGaussian(low, high, config)
-    cycle_keys = random_words(key, config.cycles - 1)
+    cycle_keys = random_words(key, max(config.cycles - 1, 1))  # an empty loop is traced, too
     ones = jnp.ones((1, config.elites), dtype)
 
     # Lines 1-2: mu' = q and Sigma' = diag(sigma^2) + epsilon I

@@ -507,7 +507,9 @@ SCREWDRIVER_PIVOT: Final = Task(
     operators=6,
     rubric=(
         RubricLine("done", 1.0, "points straight down, still held, without a reset"),
-        RubricLine("nearly", 0.5, "nearly down, at a limit where no finer adjustment is possible"),
+        RubricLine(
+            "nearly", 0.5, "points nearly straight down, and the hand can't adjust it further"
+        ),
         _RESET,
         _DROPPED,
         _GAVE_UP,

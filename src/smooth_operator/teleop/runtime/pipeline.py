@@ -81,7 +81,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """Doubt about the frames up to and including this one; None without a doubt."""
+        """Reason to distrust the frames up to and including this one, or None."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
