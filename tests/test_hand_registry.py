@@ -33,6 +33,7 @@ from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror,
 FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "ability_hand": (5, 6, 10),
     "allegro_hand": (4, 16, 16),
+    "allegro_v5": (4, 16, 16),
     "brainco_revo2": (5, 6, 11),
     "dexhand021": (5, 12, 19),
     "inspire_ftp": (5, 6, 12),
@@ -40,12 +41,15 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "leap_hand": (4, 16, 16),
     "linker_l10": (5, 10, 20),
     "linker_l20": (5, 16, 21),
+    "linker_l21": (5, 17, 17),
+    "linker_l25": (5, 21, 21),
     "linker_o6": (5, 6, 11),
     "linker_o7": (5, 7, 17),
     "mimic_p050": (5, 16, 20),
     "omnihand": (5, 10, 16),
     "orca_v1": (5, 16, 16),
     "orca_v2": (5, 16, 16),
+    "robotis_hx5": (5, 20, 20),
     "schunk_svh": (5, 9, 20),
     "shadow_dexee": (3, 12, 12),
     "shadow_hand": (5, 18, 22),
@@ -58,6 +62,7 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
 NAMES = tuple(FOUND)
 HANDS = [(name, side) for name in NAMES for side in ("right", "left")]
 MIRRORED = (
+    "allegro_v5",
     "linker_l10",
     "linker_o7",
     "mimic_p050",
