@@ -56,7 +56,7 @@ def content_name(prefix: str, key: object) -> str:
 
 
 def outside_code(*parts: Any) -> list[str]:
-    """Digests of the packages of other distributions, such as plugins, that some parts come from.
+    """Digests of the packages from other distributions, such as plugins, that provide parts.
 
     Args:
         parts: objects with a module, or names of modules; these are not imported.

@@ -101,7 +101,7 @@ def _finding(finger: str, segments: Sequence[Segment]) -> Finding:
     sure = max((s.confidence for s in mine), default=0.0)
     note = ""
     if not mine:
-        note = "not found: its gap remains that of the tracker, or is estimated during the work"
+        note = "not found: the tracker's usual gap is used, or the gap is estimated while you work"
     elif sure < SURE:
         note = "found, but too short or unclear: hold the pinch longer and more clearly"
     return Finding(finger, mine, sure, note)

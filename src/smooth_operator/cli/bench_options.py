@@ -46,7 +46,7 @@ Examples:
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       measure a folder of recordings on every hand, in eight processes
   smooth-operator bench --physics --output out
-      measure how well hands do tasks in physics (needs the research distribution:
+      measure how well hands do tasks in simulation (needs the research distribution:
       research/docs/physics.md)
 """
 

@@ -283,7 +283,7 @@ AVP: Final = Reader(
     Entry(f"{_HEADSETS}:read_avp_hands"),
 )
 HTS: Final = Reader(
-    "the lines of Hand Tracking Streamer (Quest)",
+    "a text recording of Hand Tracking Streamer (Quest)",
     Entry(f"{_HEADSETS}:read_hts_lines"),
     tuple(
         f"{start}{who}".encode()

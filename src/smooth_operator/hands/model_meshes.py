@@ -60,7 +60,7 @@ def compile_with_meshes(
     missing = [file for file in absent.values() if file not in files.pointers]
     if pointers:
         why.append(
-            f"{len(pointers)} mesh files are pointers of Git LFS ({brief(pointers[0])} first): run "
+            f"{len(pointers)} mesh files are Git LFS pointers (such as {brief(pointers[0])}): run "
             "'git lfs pull' in the clone of the model"
         )
     if missing:

@@ -99,8 +99,8 @@ class HandEntry:
         spec = read_hand_spec(self.files[own])
         if (spec.name, spec.side) != (self.name, own):
             raise HandModelError(
-                f"{self.files[own]} describes the {spec.side} hand {spec.name!r}; expected the "
-                f"{own} hand {self.name!r}, the name of the file"
+                f"{self.files[own]} describes the {spec.side} hand {spec.name!r}, but its "
+                f"file name says the {own} hand {self.name!r}"
             )
         if not is_file(spec.model):
             raise HandModelError(

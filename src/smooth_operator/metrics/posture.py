@@ -125,8 +125,8 @@ def steps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "S F"]:
 def finger_gains(
     human: Float[np.ndarray, "T F 4 3"], straight: Float[np.ndarray, " F"]
 ) -> Float[np.ndarray, " F"]:
-    """(F,) length of each robot finger, ``straight`` [m], over that of the human's, which is the
-    median of its aligned bones [m]; NaN if the human was never seen."""
+    """(F,) ratio of each robot finger's straight length [m] to the human finger's, the sum of its
+    median aligned bones [m]; NaN if the human was never seen."""
     bones = _bone_lengths(human)
     seen = bones[np.isfinite(bones).all(axis=1)]
     if not len(seen):

@@ -165,8 +165,8 @@ _ROS2: Final = "needs no ROS 2 installation"
 _DEVICE_SOURCES: Final = {
     "angles": ("gloves that give joint angles: angles:deg, angles:rad", ""),
     "bvh": ("a body capture that broadcasts BVH over UDP: bvh:FILE", ""),
-    "isaac": ("hands of any device of Isaac Teleop", "isaac"),
-    "openxr": ("hands of this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),
+    "isaac": ("hands from any Isaac Teleop device", "isaac"),
+    "openxr": ("hands from this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),
     "rokoko": ("gloves or suit, from Rokoko Studio", "rokoko"),
     "ros2": (f"hand poses from ROS 2 topics; {_ROS2}", "ros2"),
 }
@@ -245,7 +245,7 @@ SOURCES: Final = Registry(
         "pico": Entry(f"{_SOURCES}.programs:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
             f"{_SOURCES}.programs:ManusStream",
-            "the ZeroMQ stream of glove bridges (zmq extra)",
+            "MANUS gloves, by the ZeroMQ stream of a bridge program (zmq extra)",
         ),
         "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),

@@ -508,7 +508,9 @@ class RpcHandlers:
             raise ConfigError(f"a trial can't {' and '.join(actions)} together")
         about = fields.get("about") or {}
         if not isinstance(about, dict) or {"when_clear", "limit_s", "mark"} & about.keys():
-            raise ConfigError(f"about: expected an object with other entries, not {about!r}")
+            raise ConfigError(
+                f"about must be an object without when_clear, limit_s and mark, not {about!r}"
+            )
         if "begin" in actions:
             clear = bool(fields.get("when_clear"))
             runner.go(when_clear=clear, limit_s=_limit(fields), **about)

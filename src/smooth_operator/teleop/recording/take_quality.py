@@ -63,7 +63,7 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     """
     log = read_log(path)
     if log.commands is None or log.loop is None or not len(log.commands):
-        raise RecordingError(f"{path.name} contains no commands of a running loop")
+        raise RecordingError(f"{path.name} contains no commands from a live run")
     if log.commands.joint_names != hand.joint_names:
         raise RecordingError(f"{path.name} was recorded with a different hand than {hand.name!r}")
     times, q = log.loop.times, np.asarray(log.commands.joint_positions, float)

@@ -244,7 +244,7 @@ class ThreadedSource(ABC):
     @property
     @abstractmethod
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short name that people read."""
 
     @abstractmethod
     def run(self, running: Running) -> None:

@@ -397,7 +397,7 @@ def points_of_matrices(
         }[order]
         raise RecordingError(
             f"{what} must be rigid transforms with 0 0 0 1 in the last row (row by row) or "
-            f"in the last column (column by column), but {where} is; set matrix=rows or "
+            f"in the last column (column by column), but {where} has them; set matrix=rows or "
             "matrix=columns, or omit it"
         )
     rotation = matrices[:, :3, :3]
