@@ -100,7 +100,9 @@ class Clip:
         stamps = self.stamps
         for side, hand in self.hands.items():
             if hand.side != side:
-                raise RecordingError(f"{self.name}: the {side} hand is a {hand.side} one")
+                raise RecordingError(
+                    f"{self.name}: the {side} hand has a recording of a {hand.side} hand"
+                )
             if not np.array_equal(hand.stamps, stamps):
                 raise RecordingError(f"{self.name}: its hands have different stamps")
         rows: dict[str, Any] = {f"object {o.name!r}": o.T_world_object for o in self.objects}

@@ -509,7 +509,7 @@ class RpcHandlers:
         about = fields.get("about") or {}
         if not isinstance(about, dict) or {"when_clear", "limit_s", "mark"} & about.keys():
             raise ConfigError(
-                f"about must be an object without when_clear, limit_s and mark, not {about!r}"
+                f"about: expected an object without when_clear, limit_s and mark, not {about!r}"
             )
         if "begin" in actions:
             clear = bool(fields.get("when_clear"))
