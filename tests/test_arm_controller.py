@@ -1,6 +1,7 @@
 """Arms: their kinematics against the makers' figures, and a controller that keeps every limit."""
 
 import runpy
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -231,7 +232,7 @@ def test_nothing_passes_the_wall_nor_the_table():
 def test_a_home_pose_out_of_reach_is_refused(monkeypatch):
     monkeypatch.setattr("smooth_operator.teleop.arm.controller._HOME_STEPS", 50)
     with pytest.raises(ConfigError, match="can't reach the home pose"):
-        _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))
+        ArmController(replace(ARMS["ur5e"], home=(2.0, 0.0, 0.5)), _mount("mimic_p050", "ur5e"))
 
 
 def _carried(arm: str) -> Any:

@@ -484,7 +484,7 @@ def test_unit_bounds(palm):
     points = hand(1) * palm / 0.095
     check_units(points, np.ones((1, 21), bool), "here")
     for outside in (0.0499, 0.1401):
-        with pytest.raises(RecordingError, match="here: the distance from the wrist"):
+        with pytest.raises(RecordingError, match="here: the median distance from the wrist"):
             check_units(hand(1) * outside / 0.095, np.ones((1, 21), bool), "here")
 
 

@@ -165,9 +165,9 @@ def test_a_table_fits_its_hand(name):
 def test_a_table_fits_the_model_of_the_maker(name, model, shared, tmp_path, monkeypatch):
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
     table = read_table(built_in_tables() / f"{name}.toml")
-    argv = ["hands", "add", str(shared / "hands_new" / model), "--name", table.hand, "--json"]
-    assert main(argv) == 0
-    fits(table, load_hand(table.hand, side=table.side))
+    path = str(shared / "hands_new" / model)
+    assert main(["hands", "add", path, "--name", "maker", "--side", "right", "--json"]) == 0
+    fits(table, load_hand("maker", side="right"))
 
 
 def fits(table: ActuatorMap, hand: Hand) -> None:

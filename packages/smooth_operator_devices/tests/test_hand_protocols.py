@@ -214,10 +214,15 @@ def test_linker_questions_of_another_program_are_not_taken_for_answers(closing):
 def test_linker_answers_with_the_identifier_of_the_other_side_are_none(monkeypatch, closing):
     device, hand, _ = linker(closing, "O6")
     monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
-    hand.faults.answer_wrongly("identifier", 2)
+    hand.faults.answer_wrongly("identifier", 6)  # also to requests that are still on their way
     with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
         device.read()
-    assert device.read().positions.tolist() == [255.0] * 6
+
+    def positions():
+        with contextlib.suppress(WrongAnswerError):
+            return device.read().positions.tolist()
+
+    assert until(positions) == [255.0] * 6
 
 
 @pytest.mark.parametrize(
