@@ -19,7 +19,6 @@ from smooth_operator.simulation.arms.arm import (
     HandCapsules,
     HandMount,
     arm_spec,
-    rigid,
 )
 from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
