@@ -15,20 +15,20 @@ from __future__ import annotations
 import struct
 import time
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import SinkError, require
+from smooth_operator.errors import require
 from smooth_operator.settings import check_range
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.device import (
-    DeviceLostError,
     HandDevice,
     Reading,
     WrongAnswerError,
 )
+from smooth_operator_devices.hands.drivers.serial_line import SerialLine
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 MOTORS: Final = 6
@@ -90,22 +90,12 @@ class AbilityDevice(HandDevice):
     def __init__(self, table: ActuatorMap, port: str, baud: int, address: int) -> None:
         super().__init__(table)
         self._port, self._baud, self._address = port, baud, address
-        self._line: Any = None
+        self._line: SerialLine | None = None
         self._expected = False
 
     def open(self) -> None:
         """Open the port and read the positions; see ``HandDevice``."""
-        import serial
-
-        try:
-            self._line = serial.Serial(
-                self._port, self._baud, timeout=0.005, write_timeout=_TIMEOUT, exclusive=True
-            )
-        except (OSError, ValueError) as error:
-            raise SinkError(
-                f"ability: the port {self._port} can't be opened ({error}); check the "
-                "adapter and your permission to use the port (on Linux: group dialout)"
-            ) from error
+        self._line = SerialLine("ability", self._port, self._baud, _TIMEOUT)
         self._expected = False
         with self._opening(
             f"check the hand's power, that it is set to {self._baud} baud, and that byte "
@@ -142,24 +132,22 @@ class AbilityDevice(HandDevice):
         """Give the port back; the hand ignores commands 300 ms later. See ``HandDevice``."""
         line, self._line = self._line, None
         if line is not None:
-            try:
-                line.close()
-            except OSError:
-                return
+            line.close()
 
     def _send(self, command: int, values: Float[np.ndarray, " 6"] | None) -> None:
         body = bytes([self._address, command])
         if values is not None:
             body += struct.pack("<6h", *np.clip(values, -32767, 32767).astype(int))
-        self._on_line("reset_input_buffer")
-        self._on_line("write", framed(body + bytes([-sum(body) & 0xFF])))
+        line = self._port_line()
+        line.clear()
+        line.send(framed(body + bytes([-sum(body) & 0xFF])))
         self._expected = True
 
     def _answer(self) -> bytes:
         """The next valid answer of the hand."""
         deadline, frame, wrong = time.perf_counter() + _TIMEOUT, bytearray(), ""
         while time.perf_counter() < deadline:
-            for byte in self._on_line("read", max(1, self._on_line("in_waiting"))):
+            for byte in self._port_line().waiting():
                 if byte != _FRAME:
                     frame.append(byte)
                     continue
@@ -173,18 +161,10 @@ class AbilityDevice(HandDevice):
                 )
         raise WrongAnswerError(f"ability: no valid answer from the hand in {_TIMEOUT:g} s{wrong}")
 
-    def _on_line(self, what: str, *values: Any) -> Any:
-        import serial
-
+    def _port_line(self) -> SerialLine:
         if self._line is None:
             raise self._not_open()
-        try:
-            member = getattr(self._line, what)
-            return member(*values) if callable(member) else member
-        except serial.SerialTimeoutException as error:
-            raise WrongAnswerError(f"ability: {self._port} accepts no data") from error
-        except (OSError, TypeError) as error:  # TypeError: pyserial, while the port is closing
-            raise DeviceLostError(f"ability: the port {self._port} is gone") from error
+        return self._line
 
 
 def framed(body: bytes) -> bytes:

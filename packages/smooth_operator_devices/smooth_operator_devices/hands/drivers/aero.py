@@ -15,16 +15,15 @@ operation 0 does nothing.
 
 from __future__ import annotations
 
-import contextlib
 import struct
 import time
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import SinkError, require
+from smooth_operator.errors import require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.bus_lock import only_port
 from smooth_operator_devices.hands.device import (
@@ -33,6 +32,7 @@ from smooth_operator_devices.hands.device import (
     Reading,
     WrongAnswerError,
 )
+from smooth_operator_devices.hands.drivers.serial_line import SerialLine
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 MOTORS: Final = 7
@@ -91,25 +91,15 @@ class AeroDevice(HandDevice):
         self._port = port
         self._speed = self._setting("speed", 32766, 1, 32766)
         self._torque = self._setting("torque", 700, 1, 1000)
-        self._line: Any = None
+        self._line: SerialLine | None = None
         self._turn = self._missed = 0
         self._currents: Float[np.ndarray, " 7"] | None = None
         self._temperatures: Float[np.ndarray, " 7"] | None = None
 
     def open(self) -> None:
         """Open the port, find the beginning of a frame, set limits; see ``HandDevice``."""
-        import serial
-
         port = self._port or only_port("aero", "aero")
-        try:
-            self._line = serial.Serial(
-                port, BAUD, timeout=0.005, write_timeout=_TIMEOUT, exclusive=True
-            )
-        except (OSError, ValueError) as error:
-            raise SinkError(
-                f"aero: the port {port} can't be opened ({error}); check the cable and your "
-                "permission to use the port (on Linux: group dialout)"
-            ) from error
+        self._line = SerialLine("aero", port, BAUD, _TIMEOUT)
         self._turn = self._missed = 0
         self._currents = self._temperatures = None
         self._limited = False
@@ -169,8 +159,7 @@ class AeroDevice(HandDevice):
         """Give the port back; the hand keeps its last target. See ``HandDevice``."""
         line, self._line = self._line, None
         if line is not None:
-            with contextlib.suppress(OSError):
-                line.close()
+            line.close()
 
     def _synchronise(self) -> None:
         """Shift the frames byte by byte until the hand answers twice."""
@@ -179,7 +168,7 @@ class AeroDevice(HandDevice):
                 self._asked(_ASK_POSITIONS, seconds=_PROBE)
                 self._asked(_ASK_POSITIONS)
             except WrongAnswerError:
-                self._on_line("write", b"\0")
+                self._port_line().send(b"\0")
                 continue
             self._missed = 0
             return
@@ -187,16 +176,16 @@ class AeroDevice(HandDevice):
 
     def _send(self, operation: int, *words: int) -> None:
         rest = [0] * (MOTORS - len(words))
-        self._on_line("write", struct.pack("<2B7H", operation, 0, *words, *rest))
+        self._port_line().send(struct.pack("<2B7H", operation, 0, *words, *rest))
 
     def _asked(self, operation: int, *words: int, seconds: float | None = None) -> np.ndarray:
         """The seven words of the answer to a question."""
-        self._heard(self._on_line("read", self._on_line("in_waiting")))  # late, or text
+        self._heard(self._port_line().take())  # late, or text
         self._send(operation, *words)
         seconds = _TIMEOUT if seconds is None else seconds
         deadline, got = time.perf_counter() + seconds, b""
         while time.perf_counter() < deadline:
-            got += self._on_line("read", max(1, self._on_line("in_waiting")))
+            got += self._port_line().waiting()
             begin = got.find(bytes([operation, 0]))  # text has no 0
             if 0 <= begin <= len(got) - _FRAME:
                 self._heard(got[:begin])
@@ -211,15 +200,7 @@ class AeroDevice(HandDevice):
         if self._limited and any(part in data for part in _POWER_ON):
             raise DeviceLostError("aero: the hand restarted")
 
-    def _on_line(self, what: str, *values: Any) -> Any:
-        import serial
-
+    def _port_line(self) -> SerialLine:
         if self._line is None:
             raise self._not_open()
-        try:
-            member = getattr(self._line, what)
-            return member(*values) if callable(member) else member
-        except serial.SerialTimeoutException as error:
-            raise WrongAnswerError(f"aero: {self._port} accepts no data") from error
-        except (OSError, TypeError) as error:  # TypeError: pyserial, while the port is closing
-            raise DeviceLostError(f"aero: the port {self._port} is gone") from error
+        return self._line
