@@ -40,7 +40,7 @@ _TIMEOUT: Final = 0.1
 _FINDING_S: Final = 5.0
 """Time that the hand may take to be found on the network [s]."""
 _REMEMBERED: Final = 50
-"""Number of own commands that are told apart from those of other programs."""
+"""Number of our last commands that are kept, to recognise those of other programs."""
 
 
 @dataclass(frozen=True)
