@@ -250,7 +250,9 @@ def test_built_in_names_are_refused(tmp_path, folder):
 def test_a_file_that_describes_another_hand(tmp_path, folder):
     folder.mkdir()
     write_hand_spec(pincer(tmp_path), folder / "claw.right.toml")
-    with pytest.raises(HandModelError, match=r"the right hand 'pincer', but its file name says .* 'claw'"):
+    with pytest.raises(
+        HandModelError, match=r"the right hand 'pincer', but its file name says .* 'claw'"
+    ):
         load_hand("claw")
     with pytest.raises(UnknownNameError, match="unknown hand 'pincer'"):
         load_hand("pincer")
