@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from jax import lax
 
-from smooth_operator import Hand, Retargeter, method_config
+from smooth_operator import Hand, method_config
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.batching import LaneProgram, Tracks, ticks_of
+from smooth_operator.retargeting.batching import BatchRetargeter, LaneProgram, Tracks, ticks_of
 from smooth_operator.retargeting.method import Method, MethodOutput
 from smooth_operator.retargeting.program import FrameState, RetargetState
 from smooth_operator.retargeting.sbr.method import SbrConfig
@@ -60,7 +60,7 @@ def damaged(side: Side = "right") -> list[HandRecording]:
     return recordings
 
 
-def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -> None:
+def close(retargeter: BatchRetargeter, recordings: list[HandRecording], batch: Any) -> None:
     """As `run` but for rounding, until a gap makes `smooth` search for a basin again: which one its
     sampler then finds depends on the last bits. Noise of 1e-7 m in the landmarks changes the summed
     loss of `run` by a factor of up to 2 here; and without a gap it turns one joint of `smooth` by
@@ -100,10 +100,10 @@ def bits(result: Any) -> tuple[bytes, bytes, bytes]:
         "joint_angle",
     ],
 )
-def retargeter(request) -> Retargeter:
+def retargeter(request) -> BatchRetargeter:
     configs = {"sbr": SBR, "sbr:paper": PAPER, "smooth": SMOOTH}
     config = configs.get(request.param) or method_config(request.param)
-    return Retargeter(config=config, seed=3)
+    return BatchRetargeter(config=config, seed=3)
 
 
 def test_a_batch_is_each_recording_alone(retargeter):
@@ -129,7 +129,7 @@ def test_a_batch_is_each_recording_alone(retargeter):
 
 
 def test_left_hands_as_right_ones():
-    left, right = Retargeter(side="left", config=SBR), Retargeter(config=SBR)
+    left, right = BatchRetargeter(side="left", config=SBR), BatchRetargeter(config=SBR)
     recordings = damaged("left")
     mirrored = [replace(r, side="right", landmarks=r.landmarks * [-1, 1, 1]) for r in recordings]
     pairs = zip(left.batch(recordings), right.batch(mirrored), strict=True)
@@ -141,7 +141,7 @@ def test_left_hands_as_right_ones():
 
 
 def test_a_solver_on_the_host_takes_recordings_in_turn():
-    retargeter = Retargeter(method="keyvector")
+    retargeter = BatchRetargeter(method="keyvector")
     recordings = damaged()[:2]
     for recording, (commands, loss) in zip(recordings, retargeter.batch(recordings), strict=True):
         single, single_loss = retargeter.run(recording)
@@ -153,7 +153,7 @@ def test_a_solver_on_the_host_takes_recordings_in_turn():
 def test_whole_recordings_in_a_batch_are_each_alone():
     future = TrajectoryConfig(acceleration_weight=2e-8, iterations=3)
     whole = TrajectoryRetargeter(
-        Retargeter(config=SBR).hand, TrajectoryMethodConfig(SBR, future, jump=0.03)
+        BatchRetargeter(config=SBR).hand, TrajectoryMethodConfig(SBR, future, jump=0.03)
     )
     recordings = damaged()
     batch = whole.batch(recordings)
@@ -183,7 +183,7 @@ class Counting(Method):
 def test_lanes_without_a_hand_need_no_turns_of_a_loop():
     turns: list[int] = []
     config = method_config("joint_angle")
-    method = Counting(Retargeter(config=config).hand, turns)
+    method = Counting(BatchRetargeter(config=config).hand, turns)
     initial = RetargetState.of(FrameState(method.init(0), method.hand.neutral.astype(np.float32)))
     recording = hand(30, 0)
     program = LaneProgram(method, config, lanes=4, cached=False)

@@ -15,6 +15,7 @@ import pytest
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.retargeting import compiled_program
 from smooth_operator.retargeting import retargeter as programs
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.compiled_program import CompiledProgram, program_key
 from smooth_operator.retargeting.program_cache import ProgramCache
 from smooth_operator.retargeting.sbr.method import SbrConfig
@@ -179,7 +180,7 @@ def test_results_are_those_of_the_traced_program_to_the_last_bit(config, folder,
 
     def results() -> list[bytes]:
         forget()
-        retargeter = Retargeter(config=config, seed=1)
+        retargeter = BatchRetargeter(config=config, seed=1)
         runs = [retargeter.run(recording), *retargeter.batch([recording])]
         return [
             each.tobytes() for commands, loss in runs for each in (commands.joint_positions, loss)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from two_hands import LAYOUT, PAIRS, save_pair
 
-from smooth_operator import Retargeter, load_hand, plugins, poses, result_cache
+from smooth_operator import load_hand, plugins, poses, result_cache
 from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.cli import main
 from smooth_operator.cli.dataset import _print
@@ -48,6 +48,7 @@ from smooth_operator.reporter import Reporter
 from smooth_operator.result_cache import content_digest
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.presets import method_config
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory
@@ -150,7 +151,7 @@ def test_both_hands_equal_results_of_the_library(folder, whole):
     clips = finished(whole[0])
     assert clips.keys() == FRAMES.keys()
     for side in SIDES:
-        retargeter = Retargeter(side=side, config=CONFIG, seed=3)
+        retargeter = BatchRetargeter(side=side, config=CONFIG, seed=3)
         for name in ("b", "deep/c"):
             clip, path = clips[name], folder / f"{name}.pair.npz"
             source = PAIRS.read(ClipRef(name, path), ReadingOptions())

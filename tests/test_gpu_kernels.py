@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, Status
+from smooth_operator import Status
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.sbr.gpu_kernels import (
     kernels_available,
     next_gaussian,
@@ -160,7 +161,7 @@ def test_a_cpu_takes_none_of_them():
 
 
 def test_arrays_are_the_objects():
-    retargeter = Retargeter(method="joint_angle")
+    retargeter = BatchRetargeter(method="joint_angle")
     recordings = [SyntheticOperator(seed=seed).record(0.705)[:70] for seed in range(3)]
     landmarks = np.stack([r.landmarks for r in recordings])
     landmarks[1, 60:] = np.nan  # a shorter recording
@@ -183,12 +184,12 @@ def test_arrays_are_the_objects():
 
 
 def test_arrays_of_other_shapes_are_refused():
-    retargeter = Retargeter(method="joint_angle")
+    retargeter = BatchRetargeter(method="joint_angle")
     landmarks = np.zeros((2, 3, 21, 3))
     with pytest.raises(RecordingError, match=r"landmarks must be \(R, T, 21, 3\)"):
         retargeter.batch_arrays(landmarks[0], np.zeros(3))
     with pytest.raises(RecordingError, match="stamps must be"):
         retargeter.batch_arrays(landmarks, np.zeros(2))
     with pytest.raises(ConfigError, match="on the host"):
-        Retargeter(method="keyvector").batch_arrays(landmarks, np.zeros(3))
+        BatchRetargeter(method="keyvector").batch_arrays(landmarks, np.zeros(3))
     assert retargeter.batch_arrays(landmarks[:0], np.zeros((0, 3))).q.shape[:2] == (0, 3)

@@ -44,10 +44,11 @@ def call():
         retargeter(frame)
 """,
     "batch": """
-from smooth_operator import Retargeter, SyntheticOperator
+from smooth_operator import SyntheticOperator
+from smooth_operator.retargeting.batching import BatchRetargeter
 def call():
     recordings = [SyntheticOperator(seed=seed).record(0.1) for seed in (1, 2)]
-    Retargeter(method="joint_angle").batch(recordings)
+    BatchRetargeter(method="joint_angle").batch(recordings)
 """,
     "page": """
 from smooth_operator.hands.registry import load_hand

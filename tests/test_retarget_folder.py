@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, read_commands, read_recording
+from smooth_operator import read_commands, read_recording
 from smooth_operator.atomic_files import claimed
 from smooth_operator.datasets import pipeline
 from smooth_operator.datasets.pipeline import make_dataset
@@ -29,7 +29,7 @@ from smooth_operator.errors import ConfigError, OutputError, RecordingError, Unk
 from smooth_operator.execution import checked
 from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.reporter import Reporter
-from smooth_operator.retargeting.batching import BLOCK
+from smooth_operator.retargeting.batching import BLOCK, BatchRetargeter
 from smooth_operator.retargeting.presets import method_config
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
@@ -131,7 +131,7 @@ def test_a_result_equals_that_of_the_library(folder, tmp_path):
     rounding."""
     output = tmp_path / "out"
     assert do(folder, output, SEARCH).failed == {}
-    retargeter = Retargeter(config=TINY, seed=3)
+    retargeter = BatchRetargeter(config=TINY, seed=3)
     for name, frames in FRAMES.items():
         recording = read_recording(folder / f"{name}.npz")
         ((alone, loss),) = retargeter.batch([recording])

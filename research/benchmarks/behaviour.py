@@ -34,6 +34,7 @@ from smooth_operator import (
     load_hand,
     read_recording,
 )
+from smooth_operator.retargeting.batching import BatchRetargeter
 
 HANDS = ("mimic_p050", "leap_hand")
 PRESETS = {
@@ -103,7 +104,7 @@ def record_commands(folder: Path, shared: Path) -> dict[str, Any]:
                     count = SLOW_FRAMES if preset in SLOW else FRAMES
                     arrays[f"{name} {clip}"] = walk(retargeter, frames, count)
         for method in ("smooth", "sbr"):
-            retargeter = Retargeter(hand, side="right", method=method)
+            retargeter = BatchRetargeter(hand, side="right", method=method)
             batch = list(retargeter.batch(list(clips.values()), lanes=2))
             for (clip, frames), (commands, _) in zip(clips.items(), batch, strict=True):
                 arrays[f"{hand} {method} batch {clip}"] = np.asarray(commands.joint_positions)

@@ -3,8 +3,8 @@
     python research/benchmarks/gpu.py                    # on a GPU; gpu.sh installs wheels before
     python research/benchmarks/gpu.py --samples 1024 --batches smooth:teleop:8:100     # on a CPU
 
-Commands of preset ``paper`` are compared with a CPU's. Batches are ``Retargeter.batch_arrays``, and
-``batch``, which makes an object for each recording. The GPU's busy time is what ``nvidia-smi``
+Commands of preset ``paper`` are compared with a CPU's. Batches are ``BatchRetargeter.batch_arrays``,
+and ``batch``, which makes an object for each recording. The GPU's busy time is what ``nvidia-smi``
 samples while batches run one after another.
 """
 

@@ -25,6 +25,7 @@ from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import HandRecording
 
@@ -140,7 +141,7 @@ def fault_rows(method: str, hand_name: str, recording: HandRecording) -> dict[st
     """Fault -> mean distance of the fingertips from those of the run without it [mm], some seconds
     after (``SETTLES``): the largest, and the share of frames within ``AGREEMENT_MM``."""
     name, _, preset = method.partition(":")
-    retargeter = Retargeter(load_hand(hand_name), method=name, preset=preset or None)
+    retargeter = BatchRetargeter(load_hand(hand_name), method=name, preset=preset or None)
     stamps, agree = recording.stamps, AGREEMENT_MM.get(hand_name, 3.0)
     runs: list[tuple[str, int, int, HandRecording]] = [("none", 0, 0, recording)]
     for place in range(1, PLACES + 1):

@@ -20,12 +20,12 @@ from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.table import Definition
 from smooth_operator.planning import Plan, RetargetRequest
-from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter, check_method
 from smooth_operator.types import CommandTrajectory
 
-Runner: TypeAlias = Retargeter | TrajectoryRetargeter
+Runner: TypeAlias = BatchRetargeter | TrajectoryRetargeter
 """A retargeter for recordings: frame by frame, or as a whole."""
 
 
@@ -49,7 +49,7 @@ def runner(todo: Plan) -> Runner:
     gaps = todo.pinch_gaps
     if isinstance(todo.config, TrajectoryMethodConfig):
         return TrajectoryRetargeter(todo.hand, todo.config, todo.seed, gaps)
-    return Retargeter(todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps)
+    return BatchRetargeter(todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps)
 
 
 def build(todo: Plan) -> tuple[Runner, float]:
@@ -149,7 +149,7 @@ def tools_of(todo: Plan) -> object:
 
 
 def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
-    """Retargets the recordings of several plans in parallel (``Retargeter.batch``).
+    """Retargets the recordings of several plans in parallel (``BatchRetargeter.batch``).
 
     Args:
         plans: at least one plan; all have the same ``tools_of``.

@@ -23,7 +23,7 @@ import tyro
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
-from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
@@ -61,10 +61,10 @@ def run_program(main: Callable[[Any], None], settings: type, description: str | 
         raise BenchmarkError(str(error)) from error
 
 
-def retargeter_of(hand: Hand | str, name: str) -> Retargeter:
+def retargeter_of(hand: Hand | str, name: str) -> BatchRetargeter:
     """Makes the retargeter METHOD or METHOD:PRESET for a hand."""
     method, _, preset = name.partition(":")
-    return Retargeter(hand, method=method, preset=preset or None)
+    return BatchRetargeter(hand, method=method, preset=preset or None)
 
 
 def operator_frames(frames: int, seed: int = 0) -> HandRecording:

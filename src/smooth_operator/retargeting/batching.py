@@ -30,8 +30,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 from numpy.typing import ArrayLike
 
-from smooth_operator.errors import RecordingError
-from smooth_operator.hands.hand import Hand
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.method import Method, MethodConfig
@@ -41,6 +40,7 @@ from smooth_operator.retargeting.program import (
     RetargetState,
     align_frame,
 )
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
@@ -110,7 +110,7 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class BatchArrays:
-    """Result of ``Retargeter.batch_arrays``.
+    """Result of ``BatchRetargeter.batch_arrays``.
 
     Attributes:
         q: (R, T, m) float32 commands of the actuated joints, within their limits [rad];
@@ -276,8 +276,8 @@ class LaneProgram:
         limits: Float[np.ndarray, "m 2"],
         prepared: Callable[[np.ndarray], np.ndarray],
     ) -> BatchArrays:
-        """Retargets recordings in one array (``Retargeter.batch_arrays``); ``prepared`` converts
-        landmarks to the program's form."""
+        """See ``BatchRetargeter.batch_arrays``; ``prepared`` converts landmarks to the program's
+        form."""
         count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
         if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
             raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
@@ -302,48 +302,6 @@ class LaneProgram:
             jnp.broadcast_to(one, (self.lanes, *one.shape)), one.device
         )
         return placed
-
-
-Batch: TypeAlias = list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]
-"""Commands and (T,) tracking losses of each recording."""
-
-
-def one_by_one(
-    run: Callable[[HandRecording], tuple[CommandTrajectory, Float[np.ndarray, " T"]]],
-    recordings: Sequence[HandRecording],
-    track: Progress | None,
-) -> Batch:
-    """Retargets one recording after the other, for a method whose solver runs on the host."""
-    advance = progressing(sum(map(len, recordings)), track)
-    batch = []
-    for recording in recordings:
-        commands, loss = run(recording)
-        batch.append((replace(commands, latency_ms=np.full(len(commands), np.nan)), loss))
-        advance(len(recording))
-    return batch
-
-
-def side_by_side(
-    program: LaneProgram,
-    initial: RetargetState,
-    recordings: Sequence[HandRecording],
-    hand: Hand,
-    landmarks: Callable[[np.ndarray], np.ndarray],
-    track: Progress | None,
-) -> Batch:
-    """Retargets recordings in the lanes of a program; ``landmarks`` converts landmarks to its
-    form."""
-    tracks = Tracks.of(recordings, landmarks)
-    q, statuses, loss = program.run(initial, tracks, track)
-    q = np.clip(q.astype(float), *hand.limits.T)
-    loss = np.where(statuses == Status.OK, loss.astype(float), np.nan)
-    batch = []
-    for recording, part in zip(recordings, tracks.slices, strict=True):
-        none, status = np.full(len(recording), np.nan), statuses[part]
-        positions = hand.full_configuration(q[part])
-        commands = CommandTrajectory(positions, hand.joint_names, recording.stamps, none, status)
-        batch.append((commands, loss[part]))
-    return batch
 
 
 def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
@@ -400,3 +358,99 @@ def lane_counts(method: Method, lanes: int | None) -> tuple[int, int]:
         own = multiprocessing.parent_process() is not None
         return 1, lanes or (1 if own else os.cpu_count() or 1)
     return lanes or LANES, 1
+
+
+class BatchRetargeter(Retargeter):
+    """A ``Retargeter`` that also retargets many recordings at once."""
+
+    def batch(
+        self,
+        recordings: Sequence[HandRecording],
+        *,
+        seed: int | None = None,
+        track: Progress | None = None,
+        lanes: int | None = None,
+    ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
+        """Retargets recordings of any length in parallel in one program, each from a fresh state.
+
+        A result equals that of ``run`` except for rounding and for latencies, which are NaN. It
+        does not depend on the other recordings. Methods with a solver on the host run in turn.
+
+        Args:
+            recordings: recordings of the retargeter's side; the other side raises ``ConfigError``.
+            seed: random seed of each recording; None for the retargeter's own.
+            track: wraps the iteration over all frames, for a progress bar.
+            lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
+                per core for methods like ``smooth`` whose solver time varies between frames.
+        """
+        for recording in recordings:
+            self.check_side(recording.side)
+        if self.method.on_host:
+            return self._one_by_one(recordings, seed, track)
+        tracks = Tracks.of(recordings, self.program_landmarks)
+        q, statuses, loss = self._lanes(lanes).run(self.init(seed), tracks, track)
+        q = np.clip(q.astype(float), *self.hand.limits.T)
+        loss = np.where(statuses == Status.OK, loss.astype(float), np.nan)
+        batch = []
+        for recording, part in zip(recordings, tracks.slices, strict=True):
+            none, positions = np.full(len(recording), np.nan), self.hand.full_configuration(q[part])
+            commands = CommandTrajectory(
+                positions, self.hand.joint_names, recording.stamps, none, statuses[part]
+            )
+            batch.append((commands, loss[part]))
+        return batch
+
+    def _one_by_one(
+        self, recordings: Sequence[HandRecording], seed: int | None, track: Progress | None
+    ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
+        """``batch`` for a method whose solver runs on the host."""
+        advance = progressing(sum(map(len, recordings)), track)
+        batch = []
+        for recording in recordings:
+            commands, loss = self.run(recording, seed=seed)
+            batch.append((replace(commands, latency_ms=np.full(len(commands), np.nan)), loss))
+            advance(len(recording))
+        return batch
+
+    def batch_arrays(
+        self,
+        landmarks: Float[np.ndarray, "R T 21 3"],
+        stamps: Float[np.ndarray, "R T"] | Float[np.ndarray, " T"],
+        *,
+        seed: int | None = None,
+        lanes: int | None = None,
+    ) -> BatchArrays:
+        """Retargets recordings in one array: like ``batch``, without creating objects.
+
+        On a GPU, ``batch`` spends half of its time on objects. Unknown landmarks are NaN, and so
+        are the missing frames at the end of shorter recordings.
+
+        Args:
+            landmarks: (R, T, 21, 3) of R hands of the retargeter's side [m]; float32 avoids copies.
+            stamps: (R, T) timestamps of the frames [s], or (T,) for all recordings.
+            seed: random seed of each recording; None for the retargeter's own.
+            lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
+                per core for methods like ``smooth`` whose solver time varies between frames.
+
+        Returns:
+            commands of the actuated joints, status and tracking loss of every frame.
+
+        Raises:
+            RecordingError: an array has the wrong shape.
+            ConfigError: the method's solver runs on the host.
+        """
+        if self.method.on_host:
+            raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
+        program = self._lanes(lanes)
+        return program.run_arrays(
+            self.init(seed), landmarks, stamps, self.hand.limits, self.program_landmarks
+        )
+
+    def _lanes(self, lanes: int | None) -> LaneProgram:
+        count, threads = lane_counts(self.method, lanes)
+        if (count, threads) not in self.shared.lanes:
+            self.shared.lanes[count, threads] = LaneProgram(
+                self.method, self.config, count, self.cache, threads
+            )
+        program: LaneProgram = self.shared.lanes[count, threads]
+        return program

@@ -10,10 +10,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,13 +25,6 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.retargeting.batching import (
-    BatchArrays,
-    LaneProgram,
-    lane_counts,
-    one_by_one,
-    side_by_side,
-)
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
@@ -143,7 +136,8 @@ class Retargeter:
 
     def __repr__(self) -> str:
         """Hand, side, method and preset; for given settings, their class instead."""
-        return f"Retargeter({self.hand.name!r}, side={self.hand.spec.side!r}, {self._named})"
+        kind, side = type(self).__name__, self.hand.spec.side
+        return f"{kind}({self.hand.name!r}, side={side!r}, {self._named})"
 
     def init(self, seed: int | None = None, before: RetargetState | None = None) -> RetargetState:
         """The state before the first frame.
@@ -369,77 +363,6 @@ class Retargeter:
         loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
         return commands, np.array(loss)
 
-    def batch(
-        self,
-        recordings: Sequence[HandRecording],
-        *,
-        seed: int | None = None,
-        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
-        lanes: int | None = None,
-    ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-        """Retargets recordings of any length in parallel in one program, each from a fresh state.
-
-        A result equals that of ``run`` except for rounding and for latencies, which are NaN. It
-        does not depend on the other recordings. Methods with a solver on the host run in turn.
-
-        Args:
-            recordings: recordings of the retargeter's side; the other side raises ``ConfigError``.
-            seed: random seed of each recording; None for the retargeter's own.
-            track: wraps the iteration over all frames, for a progress bar.
-            lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
-                per core for methods like ``smooth`` whose solver time varies between frames.
-        """
-        for recording in recordings:
-            self.check_side(recording.side)
-        if self.method.on_host:
-            return one_by_one(lambda each: self.run(each, seed=seed), recordings, track)
-        program = self._lanes(lanes)
-        return side_by_side(
-            program, self.init(seed), recordings, self.hand, self.program_landmarks, track
-        )
-
-    def batch_arrays(
-        self,
-        landmarks: Float[np.ndarray, "R T 21 3"],
-        stamps: Float[np.ndarray, "R T"] | Float[np.ndarray, " T"],
-        *,
-        seed: int | None = None,
-        lanes: int | None = None,
-    ) -> BatchArrays:
-        """Retargets recordings in one array: like ``batch``, without creating objects.
-
-        On a GPU, ``batch`` spends half of its time on objects. Unknown landmarks are NaN, and so
-        are the missing frames at the end of shorter recordings.
-
-        Args:
-            landmarks: (R, T, 21, 3) of R hands of the retargeter's side [m]; float32 avoids copies.
-            stamps: (R, T) timestamps of the frames [s], or (T,) for all recordings.
-            seed: random seed of each recording; None for the retargeter's own.
-            lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
-                per core for methods like ``smooth`` whose solver time varies between frames.
-
-        Returns:
-            commands of the actuated joints, status and tracking loss of every frame.
-
-        Raises:
-            RecordingError: an array has the wrong shape.
-            ConfigError: the method's solver runs on the host.
-        """
-        if self.method.on_host:
-            raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
-        program = self._lanes(lanes)
-        return program.run_arrays(
-            self.init(seed), landmarks, stamps, self.hand.limits, self.program_landmarks
-        )
-
-    def _lanes(self, lanes: int | None) -> LaneProgram:
-        count, threads = lane_counts(self.method, lanes)
-        if (count, threads) not in self.shared.lanes:
-            self.shared.lanes[count, threads] = LaneProgram(
-                self.method, self.config, count, self.cache, threads
-            )
-        return self.shared.lanes[count, threads]
-
 
 MOST_PROGRAMS: Final = 16
 _programs: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
@@ -454,14 +377,14 @@ class SharedProgram(NamedTuple):
         run: the program of one frame.
         reflects: True if the program is that of the hand's mirror image.
         compiled: set after the first frame with the status OK.
-        lanes: programs of ``batch``, by their numbers of lanes and of threads.
+        lanes: programs of ``BatchRetargeter``, by their numbers of lanes and of threads.
     """
 
     method: Method
     run: Program
     reflects: bool
     compiled: threading.Event
-    lanes: dict[tuple[int, int], LaneProgram]
+    lanes: dict[tuple[int, int], Any]
 
 
 def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:

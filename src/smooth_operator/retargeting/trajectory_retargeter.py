@@ -24,14 +24,13 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics, joint_motion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.retargeting.batching import Progress, progressing
+from smooth_operator.retargeting.batching import BatchRetargeter, Progress, progressing
 from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.objective import TRANSITION, FrameGoal, Objective
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.retargeting.program import LONGEST_GAP, align_frame
-from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_solver import (
     JOINED,
@@ -71,7 +70,7 @@ class TrajectoryRetargeter:
         pinch_gaps: Mapping[str, float] | None = NO_GAPS,
     ) -> None:
         self.hand, self.config, self.seed = hand, config, seed
-        self.causal = Retargeter(hand, config=config.causal, seed=seed, pinch_gaps=pinch_gaps)
+        self.causal = BatchRetargeter(hand, config=config.causal, seed=seed, pinch_gaps=pinch_gaps)
         method = self.causal.shared.method  # that of the mirror image for hands described as one
         objective, alignment = _objective(method), config.alignment
         tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
@@ -160,8 +159,9 @@ class TrajectoryRetargeter:
         seed: int | None = None,
         track: Progress | None = None,
     ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-        """Retargets recordings frame by frame in parallel (``Retargeter.batch``), then solves each
-        one as a whole. The results equal those of ``run`` bit for bit.
+        """Retargets recordings frame by frame in parallel, then solves each one as a whole.
+
+        The results equal those of ``run`` bit for bit.
 
         Args:
             recordings: human hands of the retargeter's side.
