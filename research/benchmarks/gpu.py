@@ -3,9 +3,9 @@
     python research/benchmarks/gpu.py                    # on a GPU; gpu.sh installs wheels before
     python research/benchmarks/gpu.py --samples 1024 --batches smooth:teleop:8:100     # on a CPU
 
-Commands of preset ``paper`` are compared with a CPU's. Batches are ``BatchRetargeter.batch_arrays``,
-and ``batch``, which makes an object for each recording. The GPU's busy time is what ``nvidia-smi``
-samples while batches run one after another.
+Commands of preset ``paper`` are compared with a CPU's. Batches are those of ``BatchRetargeter``,
+as arrays and as an object for each recording. The GPU's busy time is what ``nvidia-smi`` samples
+while batches run one after another.
 """
 
 from __future__ import annotations
