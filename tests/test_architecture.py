@@ -48,6 +48,7 @@ CORE = {
 """Core: module -> level. It imports nothing of what follows."""
 
 SHARED = {
+    "console": 1,
     "reporter": 0,
     "signals": 0,
     "atomic_files": 3,

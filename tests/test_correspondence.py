@@ -12,13 +12,13 @@ import pytest
 
 from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand
 from smooth_operator.errors import ConfigError
+from smooth_operator.hand_discovery.joints import palm_tilt_deg
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.metrics.pinches import DEEP, TOUCH_DISTANCE
 from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.retargeting.correspondence import Correspondence, CorrespondenceConfig
-from smooth_operator.retargeting.palm import palm_tilt_deg
 from smooth_operator.retargeting.sbr.method import SBR_REALTIME
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks

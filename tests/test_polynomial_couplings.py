@@ -17,14 +17,13 @@ import smooth_operator as so
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_files.spec_writer import write_hand_spec
-from smooth_operator.hands.differential import joint_motion
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.spec import Coupling
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.hands.transmission import leader_range
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
-from smooth_operator.retargeting.trajectory_retargeter import fingertips
+from smooth_operator.retargeting.trajectory_retargeter import fingertips, joint_motion
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig

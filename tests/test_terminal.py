@@ -9,11 +9,12 @@ from rich.text import Text
 
 from smooth_operator.cli import main
 from smooth_operator.cli.console import Progressing
+from smooth_operator.console import open_console
 from smooth_operator.datasets.sources import read_manifest
 from smooth_operator.errors import OutputError, RecordingError, UnknownNameError, reason
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.teleop.sources.programs import read_manus
-from smooth_operator.terminal import open_console, printable
+from smooth_operator.terminal import printable
 from smooth_operator.types import JointCommand, Status
 
 HOSTILE = "\x1b]0;title\x07\x1b[2J\x9b31m\r\u202e[/x][bold]:warning:"

@@ -22,8 +22,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.console import open_console
 from smooth_operator.reporter import Advance, Reporter
-from smooth_operator.terminal import open_console
 
 _REDRAW_S: Final = 0.1
 _EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling (once per start)")}

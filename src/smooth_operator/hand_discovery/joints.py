@@ -7,16 +7,17 @@ from typing import Final
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.hand_discovery.checks import Check, Samples, Verdict, worst
 from smooth_operator.hands.collision import PALM, owners, solid_shapes
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, finger_rays
 from smooth_operator.hands.penetration import crowded_links, neutral_overlaps
 from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
-from smooth_operator.retargeting.palm import palm_tilt_deg
+from smooth_operator.retargeting.palm import human_palm_axes
 
 _TURN: Final = 2 * np.pi  # largest range of a finger's hinge [rad]; above, these are degrees
 _WIDE: Final = 3.6  # largest usual range [rad]; LEAP has 3.2
@@ -328,3 +329,25 @@ def check_size(samples: Samples) -> Check:
 
 def _align_names(samples: Samples) -> list[str]:
     return [LANDMARKS[i] for i in samples.hand.align_indices]
+
+
+def palm_tilt_deg(hand: Hand) -> float:
+    """Angle by which a flat human hand, once aligned, bends the long fingers at their bases [deg].
+
+    Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
+    robot hand (``open_rays``) then point in different directions. If the angle is positive, a flat
+    human hand bends the robot's fingers towards the palm; if negative, towards the back.
+    """
+    axes = human_palm_axes(hand)
+    rays = open_rays(hand)[1:]
+    fingers = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).mean(axis=0)
+    return float(np.degrees(np.arctan2(-(fingers @ axes.palmar), fingers @ axes.distal)))
+
+
+def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
+    """(F, 3) vectors from base to tip of each finger of the open hand, palm frame [m].
+
+    Its joints are at zero, or as close to zero as their limits allow, because vendors define the
+    open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.
+    """
+    return finger_rays(hand, np.clip(0.0, *hand.limits.T))

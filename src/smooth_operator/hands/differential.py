@@ -191,20 +191,6 @@ def before_curves(
     return slope * first, first[:, None] * curvature * first + jnp.diag(slope * second)
 
 
-def joint_motion(
-    hand: Hand, q: Float[Array, " m"]
-) -> tuple[Float[Array, " n"], Float[Array, "n m"]]:
-    """Positions of all joints [rad], and derivatives by the actuated joints; traceable."""
-    transmission = hand.transmission
-    matrix, offset = (
-        jnp.asarray(part, q.dtype) for part in (transmission.matrix, transmission.offset)
-    )
-    linear = matrix @ q + offset
-    if not transmission.curves:
-        return linear, matrix
-    return transmission.curved(linear), transmission.curved(linear, 1)[:, None] * matrix
-
-
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
     """``values @ matrix`` for a constant (J, m) matrix with few entries in a column, as sums.
 

@@ -6,10 +6,9 @@ from types import ModuleType
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
-from smooth_operator.hands.hand import Hand, finger_rays
+from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 
@@ -63,25 +62,3 @@ def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
     mirrored = hand.spec.side == "left"
     landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if mirrored else FLAT_HAND
     return palm_axes(palm_alignment(landmarks, hand).apply(landmarks), hand.spec.side)
-
-
-def palm_tilt_deg(hand: Hand) -> float:
-    """Angle by which a flat human hand, once aligned, bends the long fingers at their bases [deg].
-
-    Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
-    robot hand (``open_rays``) then point in different directions. If the angle is positive, a flat
-    human hand bends the robot's fingers towards the palm; if negative, towards the back.
-    """
-    axes = human_palm_axes(hand)
-    rays = open_rays(hand)[1:]
-    fingers = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).mean(axis=0)
-    return float(np.degrees(np.arctan2(-(fingers @ axes.palmar), fingers @ axes.distal)))
-
-
-def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
-    """(F, 3) vectors from base to tip of each finger of the open hand, palm frame [m].
-
-    Its joints are at zero, or as close to zero as their limits allow, because vendors define the
-    open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.
-    """
-    return finger_rays(hand, np.clip(0.0, *hand.limits.T))

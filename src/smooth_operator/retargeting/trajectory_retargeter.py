@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.differential import PointKinematics, joint_motion
+from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.batching import BatchRetargeter, Progress, progressing
@@ -391,6 +391,20 @@ def goal_alone(
     tips = jnp.zeros((len(hand.fingers), 3), aligned.dtype)
     goal = FrameGoal(targets.vectors, targets.weights, neutral, none, tips, tips[:, 0])
     return memory, goal
+
+
+def joint_motion(
+    hand: Hand, q: Float[Array, " m"]
+) -> tuple[Float[Array, " n"], Float[Array, "n m"]]:
+    """Positions of all joints [rad], and derivatives by the actuated joints; traceable."""
+    transmission = hand.transmission
+    matrix, offset = (
+        jnp.asarray(part, q.dtype) for part in (transmission.matrix, transmission.offset)
+    )
+    linear = matrix @ q + offset
+    if not transmission.curves:
+        return linear, matrix
+    return transmission.curved(linear), transmission.curved(linear, 1)[:, None] * matrix
 
 
 def fingertips(

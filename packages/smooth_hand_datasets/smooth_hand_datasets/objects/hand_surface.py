@@ -18,9 +18,10 @@ from jaxtyping import Array, Float, Int
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
-from smooth_operator.hands.differential import PointKinematics, joint_motion
+from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand, landmark_points, tree_with
 from smooth_operator.hands.stand_ins import stand_ins
+from smooth_operator.retargeting.trajectory_retargeter import joint_motion
 
 SPACING_M: Final = 0.002
 """Distance between the points of a surface [m]."""

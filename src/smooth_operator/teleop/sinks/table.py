@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
+from smooth_operator.console import open_console
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.settings import check_range
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
-from smooth_operator.terminal import open_console
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
