@@ -21,10 +21,10 @@ import numpy as np
 from looks import COLUMNS, figures
 
 from smooth_operator.benchmark.recordings import load_sources, parse_request
-from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.reporting.drawing import INK, styled, write_figure
+from smooth_operator.retargeting.preset_files import with_settings
 from smooth_operator.retargeting.presets import method_config
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import HandRecording

@@ -11,8 +11,6 @@ from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.registry import DEFAULT_METHOD, METHODS, as_presets
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 
-_FILE: Final = ".toml"
-
 
 class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
     """Registry of methods that loads its values."""
@@ -89,16 +87,15 @@ def default_preset(method: str) -> str:
 def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
     """Configuration of a method by preset name; None gives the method's default preset.
 
-    Instead of a preset name, any method accepts the path of a preset file
-    (``smooth_operator.formats.setting_paths``), and geort the path of a trained model.
-    ``published`` is a preset of keyvector, hybrid, dexpilot and ako; for sbr it means ``paper``.
+    Instead of a preset name, geort accepts the path of a trained model. ``chosen_config``
+    (``smooth_operator.retargeting.preset_files``) also accepts preset files. ``published`` is a
+    preset of keyvector, hybrid, dexpilot and ako; for sbr it means ``paper``.
 
     The method may be ``package.module:attribute``: a configuration, its class, or presets by name.
 
     Raises:
         UnknownNameError: if there is no such method or preset.
-        ConfigError: the preset file is invalid or for another method, or the method of a plugin
-            can't be loaded.
+        ConfigError: the method of a plugin can't be loaded.
     """
     for name in (method, preset):
         if not isinstance(name, (str, type(None))):
@@ -111,8 +108,6 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     if preset is None:
         return presets[default]
     preset = _ALIASES.get(method, {}).get(preset, preset)
-    if preset not in presets and preset.endswith(_FILE):
-        return _from_file(method, Path(preset))
     if preset not in presets:
         file = Path(preset)
         own = presets[default].with_file(file) if file.is_file() else None
@@ -128,17 +123,3 @@ def _elsewhere(preset: str) -> str:
     return (
         f"{preset!r} is a preset of {', '.join(owners)}: also choose that method." if owners else ""
     )
-
-
-def _from_file(method: str, path: Path) -> MethodConfig:
-    from smooth_operator.formats.setting_paths import read_preset_file, with_settings
-
-    file = read_preset_file(path)
-    if file.method != method:
-        raise ConfigError(
-            f"{path} is a preset of method {brief(file.method)}, not of {method!r}: also "
-            "choose that method"
-        )
-    if file.base.endswith(_FILE):
-        raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")
-    return with_settings(method_config(method, file.base), file.settings)

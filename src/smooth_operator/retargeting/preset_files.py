@@ -23,8 +23,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.io.entries import read_entries
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.presets import PRESETS, method_config
 
 C = TypeVar("C")
 
@@ -108,7 +110,6 @@ def _replaced(config: Any, values: Mapping[str, float | int]) -> Any:
 
 
 FORMAT: Final = 1
-SUFFIX: Final = ".toml"
 
 _MOST_BYTES = 1_000_000
 
@@ -148,3 +149,29 @@ def read_preset_file(path: Path) -> PresetFile:
         settings.values,
         entries.table("made", {}).values,
     )
+
+
+SUFFIX: Final = ".toml"
+
+
+def chosen_config(method: str, preset: str | None = None) -> MethodConfig:
+    """``method_config``, which also accepts the path of a preset file (``.toml``).
+
+    Raises:
+        UnknownNameError: there is no such method, preset or setting.
+        ConfigError: the preset file is invalid or for another method, or the method of a plugin
+            can't be loaded.
+    """
+    if preset is None or not preset.endswith(SUFFIX) or preset in PRESETS[method]:
+        return method_config(method, preset)
+    file = read_preset_file(Path(preset))
+    if file.method != method:
+        raise ConfigError(
+            f"{preset} is a preset of method {brief(file.method)}, not of {method!r}: also "
+            "choose that method"
+        )
+    if file.base.endswith(SUFFIX):
+        raise ConfigError(
+            f"{preset}: its base must be the name of a preset, not {brief(file.base)}"
+        )
+    return with_settings(method_config(method, file.base), file.settings)
