@@ -441,6 +441,7 @@ class OnALine(Simulated):
 
 class Rohand(OnALine):
     driver, library, generation = "rohand", "pymodbus", 2
+    module, waits = "modbus_line", ("TIMEOUT",)
 
     def start(self) -> None:
         from simulators.rohand_modbus import RoHand

@@ -1,10 +1,12 @@
 """An OpenXR runtime for tests: builds ``openxr_runtime.c``, and gives it hands."""
 
 import ctypes
+import functools
 import json
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,9 @@ import headset_apps as app
 import numpy as np
 import pytest
 
-from smooth_operator.types import Side
+from smooth_operator.io.landmark_order import chirality
+from smooth_operator.poses import separation
+from smooth_operator.types import HandFrame, Side
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 NEEDS_COMPILER = pytest.mark.skipif(
@@ -51,25 +55,40 @@ def joints(side: Side, move: float = 0.0, flags: Sequence[int] = (15,) * 26) -> 
     return array
 
 
-def build(folder: Path) -> Path:
-    """The compiled runtime; its manifest is beside it."""
-    source, path = Path(__file__).with_name("openxr_runtime.c"), folder / "runtime.so"
+@functools.cache
+def _library() -> tempfile.TemporaryDirectory[str]:
+    """Folder with the compiled runtime and its manifest."""
+    folder = tempfile.TemporaryDirectory(prefix="openxr")
+    source, path = Path(__file__).with_name("openxr_runtime.c"), Path(folder.name, "runtime.so")
     subprocess.run([str(COMPILER), "-shared", "-fPIC", "-w", "-o", path, source], check=True)
     manifest = {"file_format_version": "1.0.0", "runtime": {"library_path": str(path)}}
-    (folder / "runtime.json").write_text(json.dumps(manifest))
-    return path
+    path.with_suffix(".json").write_text(json.dumps(manifest))
+    return folder
 
 
-def choose(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes it the runtime of this process."""
+def loaded(monkeypatch: pytest.MonkeyPatch, extensions: int, *, ready: bool = False) -> Any:
+    """Makes it the runtime of this process, and returns its functions that steer it: with some of
+    its extensions, and no hand."""
+    library = Path(_library().name, "runtime.so")
     monkeypatch.setenv("XR_RUNTIME_JSON", str(library.with_suffix(".json")))
     monkeypatch.setenv("XR_LOADER_DEBUG", "none")
-
-
-def loaded(library: Path, extensions: int, *, ready: bool = False) -> Any:
-    """Its functions that steer it: with some of its extensions, and no hand."""
     runtime = ctypes.CDLL(str(library))
     runtime.last_time.restype = ctypes.c_int64
     runtime.offer(extensions, 1, 1, 1)
     runtime.be_ready_at_once(int(ready))
     return runtime
+
+
+def check_frame(frame: HandFrame, world: str) -> None:
+    """The hand of ``joints`` in the conventions of the project."""
+    pose = np.asarray(POSES[frame.side])
+    points = app.landmarks(app.hand(frame.side)) @ app.turn(pose[3:]).T + pose[:3]
+    np.testing.assert_allclose(frame.landmarks, points, atol=1e-6)
+    assert frame.T_world_wrist is not None
+    assert (separation(frame.T_world_wrist, pose) < 1e-5).all()
+    assert frame.valid is not None
+    assert frame.valid.all()
+    assert frame.metacarpals is not None
+    assert frame.world == world
+    sign = 1.0 if frame.side == "right" else -1.0
+    assert sign * chirality(frame.landmarks[None])[0] > 0.25

@@ -113,7 +113,7 @@ def test_a_shift_that_changes_costs_one_answer(hand, monkeypatch):
         device.read()
         monkeypatch.setattr(modbus_line, "TIMEOUT", 0.2)
         hand.transaction_shift = -1
-        with pytest.raises(WrongAnswerError, match="no valid answer from the hand"):
+        with pytest.raises(WrongAnswerError, match="no valid answer from device 1"):
             device.read()
         for _ in range(50):
             device.read()

@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator_devices.hands import bus_lock
 from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table, write_table
 from smooth_operator_devices.hands.device import WrongAnswerError
-from smooth_operator_devices.hands.drivers import rohand
+from smooth_operator_devices.hands.drivers import modbus_line
 from smooth_operator_devices.hands.drivers.rohand import RohandDevice
 from smooth_operator_devices.hands.table_check import ActuatorMover
 
@@ -27,10 +27,13 @@ from simulators.rohand_modbus import OVER_CURRENT, STUCK, RoHand, crc
 TABLE = read_table(built_in_tables() / "rohand_right.toml")
 
 
-@pytest.fixture(params=[1, 2])
+GENERATIONS = pytest.mark.parametrize("hand", [1, 2], indirect=True)
+
+
+@pytest.fixture
 def hand(request, monkeypatch) -> RoHand:
-    monkeypatch.setattr(rohand, "_TIMEOUT", 3.0)  # the machine may be busy
-    return RoHand(request.param)
+    monkeypatch.setattr(modbus_line, "TIMEOUT", 3.0)  # the machine may be busy
+    return RoHand(getattr(request, "param", 2))
 
 
 @pytest.fixture
@@ -45,6 +48,7 @@ def opened(line: SerialLine, **settings: Any) -> RohandDevice:
     return device
 
 
+@GENERATIONS
 def test_rohand_sets_limits_by_generation_and_never_starts_force_control(hand, line):
     device = opened(line, speed=30000, force=9000)
     device.write(np.zeros(6))
@@ -58,6 +62,7 @@ def test_rohand_sets_limits_by_generation_and_never_starts_force_control(hand, l
     device.close()
 
 
+@GENERATIONS
 def test_rohand_reports_forces_currents_and_why_a_motor_stopped(hand, line):
     device = opened(line)
     hand.forces[:] = [100, 200, 300, 400, 500]
@@ -91,7 +96,7 @@ def test_rohand_of_an_unknown_generation_or_without_modbus_is_refused(hand, line
     hand._registers[1000] = 3 << 8
     with pytest.raises(SinkError, match=r"has version 3 of the protocol, not 1 or 2; check"):
         opened(line)
-    monkeypatch.setattr(rohand, "_TIMEOUT", 0.1)
+    monkeypatch.setattr(modbus_line, "TIMEOUT", 0.1)
     with pytest.raises(SinkError, match=r"no valid answer from device 3 .* is device 3"):
         opened(line, device_id=3)
     with pytest.raises(ConfigError, match="rohand has no setting 'baud'"):
@@ -109,9 +114,8 @@ def test_rohand_that_initialises_says_so_and_is_used_afterwards(hand, line):
 
 @pytest.mark.parametrize("kind", ["checksum", "identifier", "short"])
 def test_rohand_answers_with_an_error_are_dropped(hand, line, kind, monkeypatch):
+    monkeypatch.setattr(modbus_line, "TIMEOUT", 0.3)
     device = opened(line)
-    monkeypatch.setattr(rohand, "_TIMEOUT", 0.3)
-    device._client.comm_params.timeout_connect = 0.3
     hand.faults.answer_wrongly(kind)
     with pytest.raises(WrongAnswerError, match="no valid answer"):
         device.read()

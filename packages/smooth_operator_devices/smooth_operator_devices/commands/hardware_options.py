@@ -67,7 +67,7 @@ Examples:
     unit: str = "step"
     """Unit of the commands of a hand that has no table yet."""
 
-    ends: Annotated[tuple[float, float], arg(metavar="LEAST GREATEST")] = (1024.0, 3072.0)
+    ends: Annotated[tuple[float, float], arg(metavar="MIN MAX")] = (1024.0, 3072.0)
     """Minimum and maximum command with which the actuators may be tried, in that unit."""
 
 

@@ -11,46 +11,27 @@ https://github.com/NVIDIA/IsaacTeleop (Apache-2.0), and its wheel 1.5.175.
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, MissingExtraError, SourceError, reason
-from smooth_operator.headsets.openxr_joints import openxr_frame
-from smooth_operator.headsets.repeats import Repeats
+from smooth_operator.errors import MissingExtraError, SourceError, reason
+from smooth_operator.headsets.openxr_joints import ORIENTATION_VALID, POSITION_VALID, openxr_frame
 from smooth_operator.teleop.sources.inboxes import Inbox, Message
-from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource
-from smooth_operator.types import Side
+from smooth_operator.types import HandFrame, Side
+from smooth_operator_devices.trackers.polled import PolledInbox, PolledSource
 
 WORLD: Final = "isaac"
 """Name of the world frame: that of the session's OpenXR runtime, z up."""
-_VALID: Final = 3  # a valid joint has a position and an orientation
 
 
 @dataclass(frozen=True)
-class IsaacHands(StreamSource):
-    """Both hands from a session of Isaac Teleop, on Linux.
-
-    Attributes:
-        rate: steps of the session per second [Hz].
-        side: hands to use.
-
-    Raises:
-        ConfigError: a setting is outside its range.
-    """
+class IsaacHands(PolledSource):
+    """Both hands from a session of Isaac Teleop, on Linux; ``rate`` is that of its steps."""
 
     label = "Isaac Teleop"
-    rate: float = 90.0
-    side: Hands = "both"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1.0 <= self.rate <= 1000.0:
-            raise ConfigError(f"rate must be 1 to 1000 Hz, not {self.rate:g}")
 
     @property
     def hint(self) -> str:
@@ -59,29 +40,22 @@ class IsaacHands(StreamSource):
 
     def connect(self) -> Inbox:
         """Starts the session."""
-        return SessionInbox(tuple(self.sides), 1.0 / self.rate)
+        return SessionInbox(tuple(self.sides), self.rate)
 
-    def reader(self) -> Reader:
-        """Reads the joints of a hand."""
-        repeats = Repeats()
-
-        def read(message: Message, received: float) -> Sequence[Reading]:
-            side, positions, orientations, valid = message
-            poses = np.concatenate([positions, orientations], axis=1)
-            flags = np.where(valid, _VALID, 0)
-            where = f"the {side} hand"
-            frame = openxr_frame(poses, flags, side, received, world=WORLD, where=where)
-            return () if repeats.new(frame) is None else (Reading(frame),)
-
-        return read
+    def frame(self, message: Message, received: float) -> HandFrame:
+        """Hand with 26 joints; see ``PolledSource``."""
+        side, positions, orientations, valid = message
+        poses = np.concatenate([positions, orientations], axis=1)
+        flags = np.where(valid, ORIENTATION_VALID | POSITION_VALID, 0)
+        return openxr_frame(poses, flags, side, received, world=WORLD, where=f"the {side} hand")
 
 
-class SessionInbox(Inbox):
+class SessionInbox(PolledInbox):
     """A session with both hands; a message is the side and the arrays of a tracked hand.
 
     Args:
         sides: hands to use.
-        period: time between two steps [s].
+        rate: steps of the session per second [Hz].
 
     Raises:
         MissingExtraError: isaacteleop is missing.
@@ -90,7 +64,8 @@ class SessionInbox(Inbox):
 
     address = "Isaac Teleop"
 
-    def __init__(self, sides: Sequence[Side], period: float) -> None:
+    def __init__(self, sides: Sequence[Side], rate: float) -> None:
+        super().__init__(rate)
         try:
             from isaacteleop.retargeting_engine.deviceio_source_nodes import HandsSource
             from isaacteleop.retargeting_engine.interface import OutputCombiner
@@ -99,7 +74,7 @@ class SessionInbox(Inbox):
         except ModuleNotFoundError as error:
             raise MissingExtraError("the source 'isaac'", "isaac") from error
         self._index = HandInputIndex
-        self._sides, self._period, self._next = sides, period, 0.0
+        self._sides = sides
         hands = HandsSource("hands")
         names = [f"hand_{side}" for side in sides]
         pipeline = OutputCombiner({name: hands.output(name) for name in names})
@@ -113,11 +88,8 @@ class SessionInbox(Inbox):
                 "(python -m isaacteleop.cloudxr.service start) and set its environment"
             ) from error
 
-    def receive(self, timeout: float) -> list[Message]:
-        """Waits for the next step, and returns the hands that are tracked; see ``Inbox``."""
-        now = time.monotonic()
-        self._next = max(self._next + self._period, now)
-        time.sleep(min(timeout, self._next - now))
+    def ask(self) -> list[Message]:
+        """Steps the session, and returns the hands that are tracked; see ``PolledInbox``."""
         try:
             result = self._session.step()
         except Exception as error:

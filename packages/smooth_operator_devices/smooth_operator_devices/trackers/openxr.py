@@ -13,58 +13,34 @@ https://github.com/cmbruns/pyopenxr, 1.1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.openxr_joints import openxr_frame
-from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.teleop.sources.inboxes import Inbox, Message
-from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource
+from smooth_operator.types import HandFrame
 from smooth_operator_devices.trackers.openxr_session import OpenXrInbox
+from smooth_operator_devices.trackers.polled import PolledSource
 
 WORLD: Final = "openxr"
 """Name of the world frame: the runtime's stage on the floor, or else the place of its start."""
 
 
 @dataclass(frozen=True)
-class OpenXrSource(StreamSource):
-    """Both hands from the active OpenXR runtime of this computer.
-
-    Attributes:
-        rate: number of times per second that the joints are asked for [Hz].
-        side: hands to use.
-
-    Raises:
-        ConfigError: a setting is outside its range.
-    """
+class OpenXrSource(PolledSource):
+    """Both hands from the active OpenXR runtime of this computer."""
 
     label = "OpenXR"
-    rate: float = 90.0
-    side: Hands = "both"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1.0 <= self.rate <= 1000.0:
-            raise ConfigError(f"rate must be 1 to 1000 Hz, not {self.rate:g}")
 
     def connect(self) -> Inbox:
         """Starts a session of the runtime."""
-        return OpenXrInbox(tuple(self.sides), 1.0 / self.rate)
+        return OpenXrInbox(tuple(self.sides), self.rate)
 
-    def reader(self) -> Reader:
-        """Reads the joints of a hand."""
-        repeats = Repeats()
-
-        def read(message: Message, received: float) -> Sequence[Reading]:
-            side, joints = message
-            poses = np.concatenate([joints["place"], joints["turn"]], axis=1)
-            where = f"the {side} hand"
-            frame = openxr_frame(poses, joints["flags"], side, received, world=WORLD, where=where)
-            return () if repeats.new(frame) is None else (Reading(frame),)
-
-        return read
+    def frame(self, message: Message, received: float) -> HandFrame:
+        """Hand with 26 joints; see ``PolledSource``."""
+        side, joints = message
+        poses = np.concatenate([joints["place"], joints["turn"]], axis=1)
+        where = f"the {side} hand"
+        return openxr_frame(poses, joints["flags"], side, received, world=WORLD, where=where)

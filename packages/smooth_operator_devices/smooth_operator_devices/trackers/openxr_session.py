@@ -17,8 +17,9 @@ import numpy as np
 
 from smooth_operator.errors import MissingExtraError, SourceError, listed, reason
 from smooth_operator.headsets.openxr_joints import JOINTS
-from smooth_operator.teleop.sources.inboxes import Inbox, Message
+from smooth_operator.teleop.sources.inboxes import Message
 from smooth_operator.types import Side
+from smooth_operator_devices.trackers.polled import PolledInbox
 
 _EXTENSIONS: Final = (
     "XR_EXT_hand_tracking",
@@ -33,25 +34,25 @@ _JOINT: Final = np.dtype(
 """XrHandJointLocationEXT; the quaternion is x y z w."""
 
 
-class OpenXrInbox(Inbox):
+class OpenXrInbox(PolledInbox):
     """A session without pictures; a message is the side and the 26 joints of a tracked hand.
 
     Args:
         sides: hands to ask for.
-        period: time between two questions [s].
+        rate: number of times per second that the runtime is asked [Hz].
 
     Raises:
         MissingExtraError: pyopenxr is missing.
         SourceError: there is no runtime, or it can't track hands.
     """
 
-    def __init__(self, sides: Sequence[Side], period: float) -> None:
+    def __init__(self, sides: Sequence[Side], rate: float) -> None:
+        super().__init__(rate)
         try:
             import xr
         except ModuleNotFoundError as error:
             raise MissingExtraError("the source 'openxr'", "openxr") from error
         self._xr: Any = xr
-        self._period, self._next = period, 0.0
         self._instance: Any = None
         self._runs = False
         self.address = "the OpenXR runtime"
@@ -114,12 +115,9 @@ class OpenXrInbox(Inbox):
             xr.PFN_xrLocateHandJointsEXT,
         )
 
-    def receive(self, timeout: float) -> list[Message]:
-        """Waits for the next moment, and returns the hands that are tracked; see ``Inbox``."""
+    def ask(self) -> list[Message]:
+        """Hands that are tracked; see ``PolledInbox``."""
         xr = self._xr
-        now = time.monotonic()
-        self._next = max(self._next + self._period, now)
-        time.sleep(min(timeout, self._next - now))
         try:
             self._follow_events()
             if not self._runs:

@@ -107,7 +107,7 @@ class InspireDevice(HandDevice):
         self._speed = self._setting("speed", 1000, 0, 1000)
         self._force = self._setting("force", 500, 0, 3000)
         self._blocks = BLOCKS if self._setting("touch", 0, 0, 1) else ()
-        self._line = ModbusLine("inspire", port, device_id, PORT, BAUD)
+        self._line = ModbusLine("inspire", port, device_id, BAUD, PORT)
         self._turn = 0
         self._slow: dict[int, np.ndarray] = {}
         self._cells: dict[int, list[int]] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import struct
 import time
+from collections.abc import Callable
 from typing import Any, Final
 
 from smooth_operator_devices.hands.bus_lock import is_serial
@@ -25,13 +26,23 @@ class ModbusLine:
         driver: name of the driver, for messages.
         port: ``ADDRESS`` or ``ADDRESS:PORT`` for Modbus TCP; a serial port for Modbus RTU.
         device_id: number of the device.
-        tcp_port: port without one in ``port``.
         baud: bits per second of a serial line.
+        tcp_port: port without one in ``port``.
+        why: function that returns the device's reason for a refusal, given the register and the
+            Modbus exception; it may ask the device, and returns an empty text without a reason.
     """
 
-    def __init__(self, driver: str, port: str, device_id: int, tcp_port: int, baud: int) -> None:
+    def __init__(
+        self,
+        driver: str,
+        port: str,
+        device_id: int,
+        baud: int,
+        tcp_port: int = 502,
+        why: Callable[[int, int], str] = lambda register, code: "",
+    ) -> None:
         self._driver, self._port, self._device_id = driver, port, device_id
-        self._tcp_port, self._baud = tcp_port, baud
+        self._baud, self._tcp_port, self._why = baud, tcp_port, why
         self._client: Any = None
         self._number, self._difference = 0, -1
 
@@ -99,13 +110,14 @@ class ModbusLine:
         except (ModbusException, struct.error, ValueError) as error:
             self._clear()
             raise WrongAnswerError(
-                f"{self._driver}: no valid answer from the hand at {self._port} within "
-                f"{TIMEOUT:g} s"
+                f"{self._driver}: no valid answer from device {self._device_id} at {self._port} "
+                f"within {TIMEOUT:g} s"
             ) from error
         if answer.isError():
+            code = getattr(answer, "exception_code", 0)
+            reason = self._why(values[0], code) or f"Modbus exception {code}"
             raise WrongAnswerError(
-                f"{self._driver}: the hand refused register {values[0]} "
-                f"(Modbus exception {getattr(answer, 'exception_code', '?')})"
+                f"{self._driver}: the hand refused register {values[0]} ({reason})"
             )
         return answer
 

@@ -11,12 +11,9 @@ switch the second one to force control if they are not 0; the measured forces be
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -24,13 +21,8 @@ from jaxtyping import Float
 from smooth_operator.errors import SinkError, require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.bus_lock import only_port
-from smooth_operator_devices.hands.device import (
-    DeviceLostError,
-    HandDevice,
-    Reading,
-    Setting,
-    WrongAnswerError,
-)
+from smooth_operator_devices.hands.device import HandDevice, Reading, Setting
+from smooth_operator_devices.hands.drivers.modbus_line import ModbusLine
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 MOTORS: Final = 6
@@ -58,9 +50,6 @@ _STATUSES: Final = {3: "stopped by its current limit", 5: "stuck"}
 
 _SPEED_DEFAULT: Final = 65000
 """Positions per second: not 65535, the value after a restart, so that a restart is noticed."""
-
-_TIMEOUT: Final = 0.2
-"""Time that an answer may take [s]."""
 
 
 @dataclass(frozen=True)
@@ -104,27 +93,22 @@ class RohandDevice(HandDevice):
         if np.isfinite(table.limits).any():
             limits = np.clip(np.nan_to_num(table.limits, nan=1178.0), 1, 65535).astype(int)
             self._settings["current limit"] = (_CURRENT_LIMIT, limits.tolist())
-        self._client: Any = None
+        self._line = ModbusLine("rohand", port, self._device_id, BAUD)
         self._forces_at = 0
         self._turn = 0
         self._slow: dict[int, list[int]] = {}
 
     def open(self) -> None:
         """Connect, check that the hand answers, and set its limits; see ``HandDevice``."""
-        from pymodbus.client import ModbusSerialClient
-
-        # Without a handler of its own, each lost answer would be a line in the user's terminal.
-        logging.getLogger("pymodbus").addHandler(logging.NullHandler())
         port = self._port or only_port("rohand", "rohand")
-        self._client = ModbusSerialClient(port, baudrate=BAUD, timeout=_TIMEOUT, retries=0)
+        self._line = ModbusLine("rohand", port, self._device_id, BAUD, why=self._why)
         self._turn, self._slow, self._limited = 0, {}, False
         with self._opening(
             f"check power, the port {port}, that no other program uses it, and that the hand has "
             f"Modbus firmware and is device {self._device_id}"
         ):
-            if not self._client.connect():
-                raise DeviceLostError(f"rohand: the port {port} can't be opened")
-            generation = self._ask(_VERSION, 1)[0] >> 8
+            self._line.open()
+            generation = self._line.ask(_VERSION, 1)[0] >> 8
             if generation not in _FORCES:
                 raise SinkError(
                     f"rohand: the hand has version {generation} of the protocol, not 1 or 2"
@@ -138,15 +122,17 @@ class RohandDevice(HandDevice):
     def _limit(self) -> None:
         """Send speed, current limit and force, which a restart of the hand deletes."""
         for address, words in self._settings.values():
-            self._tell(address, words)
+            self._line.tell(address, words)
 
     def read(self) -> Reading:
         """Positions, and one of currents, states and forces; see ``HandDevice``."""
-        positions = self._ask(_POSITION, MOTORS)
+        positions = self._line.ask(_POSITION, MOTORS)
         turns = (_CURRENT, _STATUS, _CURRENT, self._forces_at)
         address = turns[self._turn % len(turns)]
         self._turn += 1
-        self._slow[address] = self._ask(address, FORCES if address == self._forces_at else MOTORS)
+        self._slow[address] = self._line.ask(
+            address, FORCES if address == self._forces_at else MOTORS
+        )
         currents, forces = self._slow.get(_CURRENT), self._slow.get(self._forces_at)
         states = self._slow.get(_STATUS, [])
         return Reading(
@@ -163,7 +149,9 @@ class RohandDevice(HandDevice):
     def settings(self) -> Sequence[Setting]:
         """Speed, current limit and force; see ``HandDevice``."""
         return [
-            Setting(name, np.array(words, float), np.array(self._ask(address, len(words)), float))
+            Setting(
+                name, np.array(words, float), np.array(self._line.ask(address, len(words)), float)
+            )
             for name, (address, words) in self._settings.items()
         ]
 
@@ -173,48 +161,14 @@ class RohandDevice(HandDevice):
         if not self._limited:
             self._limit()
             self._limited = True
-        self._tell(_TARGET, np.clip(np.rint(commands), 0, 65535).astype(int).tolist())
+        self._line.tell(_TARGET, np.clip(np.rint(commands), 0, 65535).astype(int).tolist())
 
     def close(self) -> None:
         """Give the line back; the hand keeps its last target. See ``HandDevice``."""
-        client, self._client = self._client, None
-        if client is not None:
-            client.close()
+        self._line.close()
 
-    def _ask(self, address: int, count: int) -> list[int]:
-        words: list[int] = self._exchange("read_holding_registers", address, count=count).registers
-        if len(words) != count:
-            raise WrongAnswerError(
-                f"rohand: {len(words)} words received from register {address} instead of {count}"
-            )
-        return words
-
-    def _tell(self, address: int, words: list[int]) -> None:
-        self._exchange("write_registers", address, words)
-
-    def _exchange(self, function: str, address: int, *values: Any, **named: Any) -> Any:
-        """Send a request and wait for its answer."""
-        from pymodbus.exceptions import ConnectionException, ModbusException
-
-        if self._client is None:
-            raise self._not_open()
-        call = getattr(self._client, function)
-        try:
-            answer = call(address, *values, device_id=self._device_id, **named)
-        except (ConnectionException, OSError) as error:
-            raise DeviceLostError(
-                f"rohand: the port {self._client.comm_params.host} is gone"
-            ) from (error)
-        except (ModbusException, struct.error, ValueError) as error:
-            with contextlib.suppress(OSError, AttributeError):  # of a late answer
-                self._client.socket.reset_input_buffer()
-            raise WrongAnswerError(
-                f"rohand: no valid answer from device {self._device_id} within {_TIMEOUT:g} s"
-            ) from error
-        if not answer.isError():
-            return answer
-        code = answer.exception_code
-        reason = f"Modbus exception {code}"
-        if code == _DEVICE_FAILURE and address != _REASON:
-            reason = _REASONS.get(self._ask(_REASON, 1)[0], reason)
-        raise WrongAnswerError(f"rohand: the hand refused register {address} ({reason})")
+    def _why(self, register: int, code: int) -> str:
+        """The hand's reason for a refusal, or an empty text."""
+        if code != _DEVICE_FAILURE or register == _REASON:
+            return ""
+        return _REASONS.get(self._line.ask(_REASON, 1)[0], "")
