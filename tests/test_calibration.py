@@ -132,7 +132,8 @@ def test_an_operators_gaps_come_before_those_of_the_tracker(exact, tmp_path):
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_file_brings_back_every_figure(side, tmp_path):
-    for each in (replace(KNOWN, side=side), OperatorProfile(side)):
+    mount = {side: (0.1, -0.02, 0.0, 0.6, 0.0, 0.8, 0.0)}
+    for each in (replace(KNOWN, side=side, mounts=mount), OperatorProfile(side)):
         write_operator(tmp_path / "operator.json", each)
         assert read_operator(tmp_path / "operator.json") == each
 
@@ -354,7 +355,7 @@ def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held():
     from smooth_operator.teleop.sources.live import Arrival
     from smooth_operator.types import HandFrame
 
-    asked = (Prompt("index", 0.5, 1.0), Prompt("ring", 0.5, 1.0))
+    asked = (Prompt("index", "", 0.5, 1.0), Prompt("ring", "", 0.5, 1.0))
     session = CalibrationSession("right", asked)
     shape = np.arange(63.0).reshape(21, 3)
     phases, now = [], 10.0
@@ -388,9 +389,8 @@ def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held():
 
 
 def test_calibrate_asks_a_live_operator(tmp_path, monkeypatch, capsys):
-    from smooth_operator.cli import prompting
-
-    monkeypatch.setattr(prompting, "PROMPTS", (Prompt("index", 0.2, 1.0),))
+    prompt = replace(PROMPTS[0], settle=0.2, hold=1.0)
+    monkeypatch.setattr("smooth_operator.calibration.segments.PROMPTS", (prompt,))
     output = tmp_path / "operator.json"
     source = "synthetic:gestures=pinch_index,seed=1"
     assert main(["calibrate", "--source", source, "--output", str(output)]) == 0

@@ -97,6 +97,12 @@ class RetargetRequest(MethodChoice):
         own = NO_GAPS if self.operator is None else self.operator.pinch_gaps
         return {**(MEDIAPIPE if self.pinch_gaps == "mediapipe" else tracker), **own}
 
+    def of(self, side: Side) -> RetargetRequest:
+        """The request for one of two hands: without the profile of the other hand."""
+        if self.operator is None or self.operator.side == side:
+            return self
+        return replace(self, operator=None)
+
     @property
     def hand_name(self) -> str:
         """Name of the robot hand."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError, DocumentError, brief
 from smooth_operator.extras import UPGRADE
@@ -19,7 +21,7 @@ from smooth_operator.types import Side, as_side
 FORMAT: Final = "smooth-operator operator"
 VERSION: Final = 1
 
-_MOST_BYTES: Final = 1_000_000  # it has 200 bytes
+_MOST_BYTES: Final = 1_000_000  # it has 500 bytes
 _EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate` or `teleop`"
 
 
@@ -31,22 +33,32 @@ class OperatorProfile:
         side: side of the hand.
         pinch_gaps: gaps that the tracker leaves between thumb and finger when they touch, by finger
             [palm lengths], without fingers whose gap is unknown.
-        source: recording or tracker from which the profile was computed.
+        source: recording or tracker from which the gaps were computed.
+        mounts: where trackers sit on the hands: side -> pose of the wrist in the tracker's frame,
+            x y z [m] and unit quaternion w x y z.
 
     Raises:
         UnknownNameError: a finger has no such name, or is the thumb.
-        ConfigError: a gap is not between 0 and 1 palm length.
+        ConfigError: a gap is not between 0 and 1 palm length, or a mount is not a pose.
     """
 
     side: Side
     pinch_gaps: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
+    mounts: Mapping[Side, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_gaps(self.pinch_gaps)
+        for side, mount in self.mounts.items():
+            pose = np.array(mount)
+            if pose.shape != (7,) or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3:
+                raise ConfigError(
+                    f"the mount of the {side} hand must be x y z and a unit quaternion w x y z, "
+                    f"not {mount}"
+                )
 
     def check(self, side: Side) -> None:
-        """Raises ConfigError unless the profile is for a hand of this side."""
+        """Raises ConfigError unless the pinch gaps are those of a hand of this side."""
         if side != self.side:
             raise ConfigError(
                 f"this operator file is for the {self.side} hand and can't be used for the "
@@ -66,6 +78,7 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
         "side": operator.side,
         "source": operator.source,
         "pinch_gaps": dict(operator.pinch_gaps),
+        "mounts": dict(operator.mounts),
     }
     with atomic_write(path) as file:
         file.write(to_json(content, indent=2).encode() + b"\n")
@@ -96,10 +109,11 @@ def read_operator(path: Path) -> OperatorProfile:
         )
     entries = Entries(str(path), content)
     with entries.name_file():
-        entries.only("format", "version", "side", "source", "pinch_gaps")
-        gaps = entries.table("pinch_gaps")
+        entries.only("format", "version", "side", "source", "pinch_gaps", "mounts")
+        gaps, mounts = entries.table("pinch_gaps"), entries.table("mounts")
         return OperatorProfile(
             side=as_side(entries.text("side", lines=True)),
             pinch_gaps={name: gaps.number(name) for name in gaps.names},
             source=entries.text("source", lines=True),
+            mounts={as_side(name): mounts.numbers(name, 7) for name in mounts.names},
         )

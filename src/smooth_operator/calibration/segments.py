@@ -161,23 +161,22 @@ def _runs(
 
 @dataclass(frozen=True)
 class Prompt:
-    """A pinch that the operator is asked to hold.
+    """A pose or a motion that the operator is asked for.
 
     Attributes:
-        finger: the finger that pinches.
-        settle: time to reach the pinch, whose frames are not used [s].
-        hold: time to hold the pinch, whose frames are used [s].
+        name: name of its frames; the finger of a pinch.
+        text: instruction to the operator.
+        settle: time to get ready, whose frames are not used [s].
+        hold: time of the pose or the motion, whose frames are used [s].
     """
 
-    finger: str
+    name: str
+    text: str
     settle: float = 2.0
     hold: float = 4.0
 
-    @property
-    def text(self) -> str:
-        """Instruction to the operator."""
-        return f"pinch: thumb pad on {self.finger} finger pad, lightly"
 
-
-PROMPTS: Final = tuple(Prompt(finger) for finger in FINGERS[1:])
-"""Prompts of a calibration, in order."""
+PROMPTS: Final = tuple(
+    Prompt(finger, f"pinch: thumb pad on {finger} finger pad, lightly") for finger in FINGERS[1:]
+)
+"""Prompts of a calibration of pinches, in order."""

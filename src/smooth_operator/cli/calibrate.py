@@ -1,8 +1,10 @@
-"""``smooth-operator calibrate``: measures an operator's pinches and writes a file and a report."""
+"""``smooth-operator calibrate``: measures an operator's pinches, or the place of a tracker on a
+glove, and writes a file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -12,12 +14,14 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
 from smooth_operator.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
+    from smooth_operator.calibration.operator_file import OperatorProfile
     from smooth_operator.calibration.segments import Segment
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Measure the gaps that a tracker leaves in pinches, and write a file for --operator."""
+    """Measure the gaps that a tracker leaves in pinches, or the place of a tracker on a glove, and
+    write a file for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
@@ -31,10 +35,15 @@ each and in any order. With --source, the program asks the operator for one pinc
 Besides OPERATOR.json, it writes OPERATOR.png (distances and pinches over time) and
 OPERATOR.report.json.
 
+With --wrist-source, the program finds where a tracker sits on the glove: the operator turns the
+hand about the wrist, then slides the flat hand along a table. The result is added to OPERATOR.json;
+each hand has its own (docs/how-to/wrist-trackers.md).
+
 Examples:
   smooth-operator calibrate glove.npz --output operator.json
   smooth-operator calibrate --source webcam --output operator.json
   smooth-operator retarget glove.npz --operator operator.json --output out.npz
+  smooth-operator calibrate --wrist-source openxr:track=trackers --side left --output operator.json
 """
 
     recording: Annotated[Positional[Path | None], arg(metavar="RECORDING")] = None
@@ -45,8 +54,12 @@ Examples:
     """Live source to use instead of a recording, as for teleop. The program asks for one pinch
     after the other; this takes about half a minute."""
 
+    wrist_source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
+    """Live source of a tracker on a glove, as for teleop. The program finds the place of the
+    tracker on the hand instead of the gaps of pinches."""
+
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
-    """File to write. An earlier calibration of that name is replaced."""
+    """File to write. An earlier calibration of the same kind is replaced, others are kept."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording, or right for a live source."""
@@ -62,10 +75,62 @@ Examples:
 
 
 def calibrate_recording(options: Calibrate) -> None:
+    """Calibrates the pinches or the place of a tracker, writes files and prints the result."""
+    if options.wrist_source is None:
+        _calibrate_pinches(options)
+    else:
+        _calibrate_mount(options, options.wrist_source)
+
+
+def _calibrate_mount(options: Calibrate, text: str) -> None:
+    """Finds where a tracker sits on the hand, and adds it to the operator's file."""
+    from smooth_operator.calibration.mount import PROMPTS, find_mount
+    from smooth_operator.calibration.operator_file import OperatorProfile, write_operator
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.cli.prompting import ask
+    from smooth_operator.io.jsonable import to_json
+    from smooth_operator.teleop.components import build_source
+
+    if options.source is not None or options.recording is not None:
+        raise ConfigError("--wrist-source can't be combined with a recording or with --source")
+    before, side = _earlier(options.output), options.side or "right"
+    progress = Progressing(options.quiet)
+    recording, segments = ask(build_source(text, side), side, PROMPTS, progress)
+    wrists = recording.T_world_wrist
+    assert wrists is not None  # a session always has them
+    of = {segment.finger: wrists[segment.start : segment.stop] for segment in segments}
+    mount = find_mount(*(of.get(prompt.name, wrists[:0]) for prompt in PROMPTS))
+    profile = before or OperatorProfile(side)
+    pose = tuple(round(value, 5) for value in mount.T_tracker_wrist.tolist())
+    with folder_for(options.output.parent):
+        write_operator(options.output, replace(profile, mounts={**profile.mounts, side: pose}))
+    progress.note(f"wrote {options.output}")
+    figures = {
+        "side": side,
+        "T_tracker_wrist": pose,
+        "residual_mm": 1e3 * mount.residual,
+        "turn": mount.turn,
+        "slide_m": mount.slide,
+        "tilt_degrees": math.degrees(mount.tilt),
+    }
+    if options.json:
+        print(to_json(figures))
+        return
+    x, y, z = (100 * value for value in pose[:3])
+    print(
+        f"{side} hand: the wrist is at {x:.1f}, {y:.1f}, {z:.1f} cm in the tracker's frame. It "
+        f"moved by {1e3 * mount.residual:.1f} mm while the hand turned, and the hand turned by "
+        f"{figures['tilt_degrees']:.1f}° while it slid by {100 * mount.slide:.0f} cm."
+    )
+
+
+def _calibrate_pinches(options: Calibrate) -> None:
     """Reads the recording, calibrates, writes three files and prints the result."""
     from smooth_operator.atomic_files import atomic_write
     from smooth_operator.calibration.estimate import calibrate, report
     from smooth_operator.calibration.operator_file import write_operator
+    from smooth_operator.calibration.segments import PROMPTS
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.cli.prompting import ask
@@ -79,7 +144,8 @@ def calibrate_recording(options: Calibrate) -> None:
     progress = Progressing(options.quiet)
     if options.source is not None and options.recording is not None:
         raise ConfigError("give a recording or a live source, not both")
-    picture, figures = _check_output(options.output)
+    before = _earlier(options.output)
+    picture, figures = (options.output.with_suffix(end) for end in (".png", ".report.json"))
     segments: list[Segment] | None = None
     if options.source is None:
         if options.recording is None:
@@ -90,7 +156,7 @@ def calibrate_recording(options: Calibrate) -> None:
         recording = read_shown(options.recording, progress, options.frames, **reading)
     else:
         side = options.side or "right"
-        recording, segments = ask(build_source(options.source, side), side, progress)
+        recording, segments = ask(build_source(options.source, side), side, PROMPTS, progress)
     with progress.waiting("searching for pinches"):
         calibration = calibrate(recording, segments)
     content = {
@@ -105,7 +171,8 @@ def calibrate_recording(options: Calibrate) -> None:
             draw_calibration(calibration, recording, picture)
         with atomic_write(figures) as file:
             file.write(to_json(content, indent=2).encode() + b"\n")
-        write_operator(options.output, calibration.operator)
+        mounts = {} if before is None else before.mounts
+        write_operator(options.output, replace(calibration.operator, mounts=mounts))
     progress.note(f"wrote {options.output}, {picture.name} and {figures.name}")
     if options.json:
         print(to_json(content))
@@ -113,8 +180,8 @@ def calibrate_recording(options: Calibrate) -> None:
         _print(content)
 
 
-def _check_output(output: Path) -> tuple[Path, Path]:
-    """Checks the name of the output, and returns the paths of the picture and of the report.
+def _earlier(output: Path) -> OperatorProfile | None:
+    """Profile that is in the file already; None without a file.
 
     Raises:
         OutputError: the name does not end in .json, or the file exists and is not a calibration.
@@ -123,15 +190,15 @@ def _check_output(output: Path) -> tuple[Path, Path]:
 
     if output.suffix != ".json":
         raise OutputError(f"can't write {str(output)!r}: the name must end in .json")
-    if output.exists():
-        try:
-            read_operator(output)
-        except ConfigError:
-            raise OutputError(
-                f"can't write {str(output)!r}: the file exists and is not a calibration; "
-                "choose another name, or remove the file first"
-            ) from None
-    return output.with_suffix(".png"), output.with_suffix(".report.json")
+    if not output.exists():
+        return None
+    try:
+        return read_operator(output)
+    except ConfigError:
+        raise OutputError(
+            f"can't write {str(output)!r}: the file exists and is not a calibration; "
+            "choose another name, or remove the file first"
+        ) from None
 
 
 def _print(content: dict[str, Any]) -> None:

@@ -1,11 +1,11 @@
-"""Prompts in the terminal that ask an operator for the pinches of a calibration."""
+"""Prompts in the terminal that ask an operator for the poses and motions of a calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
-from smooth_operator.calibration.segments import PROMPTS, Segment
+from smooth_operator.calibration.segments import Prompt, Segment
 from smooth_operator.cli.console import Progressing
 from smooth_operator.errors import SourceError
 from smooth_operator.teleop.runtime.calibration_session import CalibrationSession, Moment
@@ -18,22 +18,23 @@ _PATIENCE_S: Final = 30.0
 
 
 def ask(
-    source: LiveSource, side: Side, progress: Progressing
+    source: LiveSource, side: Side, prompts: Sequence[Prompt], progress: Progressing
 ) -> tuple[HandRecording, list[Segment]]:
     """Shows the prompts one after the other, with a progress bar.
 
     Args:
         source: where frames come from; started and stopped here.
         side: side of the hand.
+        prompts: the prompts, in order.
 
     Returns:
-        the recorded frames, and the time at which each pinch was held.
+        the recorded frames, and the span of them that belongs to each prompt.
 
     Raises:
-        SourceError: no hand was seen for half a minute, or the source failed.
+        SourceError: no hand was tracked for half a minute, or the source failed.
     """
     mailbox = Mailbox()
-    session = CalibrationSession(side, PROMPTS)
+    session = CalibrationSession(side, prompts)
     source.start(mailbox)
     try:
         with progress.bar("calibrating") as show:
@@ -59,13 +60,13 @@ def _go_through(
         health = source.health()
         if health.state in ("failed", "ended") or mailbox.clock() - last_stamp > _PATIENCE_S:
             raise SourceError(
-                f"{source.label}: no {session.side} hand is visible any more "
+                f"{source.label}: no {session.side} hand is tracked any more "
                 f"({100 * moment.done:.0f} % completed); {health.detail or health.state}"
             )
 
 
 def _told(moment: Moment) -> str:
     if moment.phase == "wait":
-        return f"no hand is visible; next: {moment.prompt.text}"
-    verb = "get ready" if moment.phase == "settle" else "hold"
+        return f"no hand is tracked; next: {moment.prompt.text}"
+    verb = "get ready" if moment.phase == "settle" else "now"
     return f"{moment.prompt.text} ({verb}, {moment.left_s:.0f} s)"

@@ -51,6 +51,7 @@ from smooth_operator.teleop.runtime.priority import going_first, low_jitter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Driver
+from smooth_operator.teleop.sources.combined import CombinedSource
 from smooth_operator.teleop.sources.live import LiveSource, source_gaps
 from smooth_operator.teleop.sources.played import Replay
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
@@ -132,13 +133,17 @@ def teleoperate(
     operator = _operator(request.operator, "right" if side == "both" else side)
     retarget = make_request(**request.settings() | {"hand": spec, "operator": operator})
     names = [name for text in request.methods for name in text.split(",")]
+    sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
+    source = build_source(request.source, side) if source is None else source
+    if request.wrist_source is not None:
+        source = _with_wrist(source, request.wrist_source, sides, operator, reporter)
     run = _Run(
         request,
         retarget,
         others=[_with_method(retarget, name) for name in names],
         config=LoopConfig(request.rate, request.safety, request.limits, request.wrist),
-        sides=("right", "left") if side == "both" else (side,),
-        source=build_source(request.source, side) if source is None else source,
+        sides=sides,
+        source=source,
         sink_texts=texts,
         sinks=[build_sink(sink) if isinstance(sink, str) else sink for sink in texts],
         arm=None if request.arm is None else read_arm(request.arm),
@@ -197,7 +202,8 @@ class _Run:
 
     def _resolve(self, request: RetargetRequest) -> dict[Side, tuple[Hand, MethodConfig]]:
         """Hands of a request and the settings of their methods, checked against the limits."""
-        hands = {side: resolve(request, side) for side in self.sides}
+        both = len(self.sides) > 1
+        hands = {side: resolve(request.of(side) if both else request, side) for side in self.sides}
         for hand, _ in hands.values():
             Limiter(hand, self.config.limits)
         return hands
@@ -246,7 +252,7 @@ class _Run:
         for side, pipeline in pipelines.items():
             gaps = {name: round(gap, 4) for name, gap in pipeline.pinch_gaps.items()}
             if file is None or operator is None or operator is not switcher.operators[side]:
-                return
+                continue
             if gaps and gaps != operator.pinch_gaps:
                 source = operator.source or self.source.label
                 gaps = {**operator.pinch_gaps, **gaps}
@@ -323,7 +329,8 @@ class _Run:
             loop.watch = session.watch
             page.serve(session)
         # A recording, which ends, must not play before the robot can move.
-        played = isinstance(source, Replay) or (isinstance(source, Video) and not source.loop)
+        hands = source.hands if isinstance(source, CombinedSource) else source
+        played = isinstance(hands, Replay) or (isinstance(hands, Video) and not hands.loop)
         waits = teleop.task is not None or teleop.duration is not None or played
         if self.others or waits:
             switcher.building = "compiling"
@@ -370,10 +377,11 @@ class _Run:
     def _retargeters(self) -> dict[Side, Retargeter]:
         """Retargeters of the hands, which may not be compiled yet."""
         retargeters: dict[Side, Retargeter] = {}
-        request, gaps = self.request, self.request.known_gaps(source_gaps(self.source))
+        request, tracker = self.request, source_gaps(self.source)
         for side, (hand, config) in self.hands.items():
             for note in () if self.teleop.blind else config.notes(hand):
                 self.reporter.note(note, matters=True)
+            gaps = request.of(side).known_gaps(tracker)
             retargeters[side] = Retargeter(hand, config=config, seed=request.seed, pinch_gaps=gaps)
         return retargeters
 
@@ -395,6 +403,28 @@ def _operator(path: Path | None, side: Side) -> OperatorProfile | None:
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: there is no folder {path.parent}; create it or name another")
     return read_operator(path) if path.exists() else OperatorProfile(side)
+
+
+def _with_wrist(
+    hands: LiveSource,
+    text: str,
+    sides: tuple[Side, ...],
+    operator: OperatorProfile | None,
+    reporter: Reporter,
+) -> CombinedSource:
+    """The source with the wrists of another one, which sits on the hands as the operator's file
+    says."""
+    wrist = build_source(text, sides[0] if len(sides) == 1 else "both")
+    mounts = {} if operator is None else operator.mounts
+    for side in sides:
+        if side not in mounts:
+            reporter.note(
+                f"the pose that {wrist.label} gives is taken as that of the {side} wrist, because "
+                "the operator file has no place of a tracker; to find it: smooth-operator "
+                f"calibrate --wrist-source {text} --side {side} --output OPERATOR.json",
+                matters=True,
+            )
+    return CombinedSource(hands, wrist, {side: mounts[side] for side in sides if side in mounts})
 
 
 def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:

@@ -64,9 +64,9 @@ class MethodSwitcher:
     def __init__(self, loop: TeleopLoop, request: RetargetRequest) -> None:
         self._loop, self._begun_with = loop, request
         self._hands = {side: p.retargeter.hand for side, p in loop.pipelines.items()}
-        self.operators: dict[Side, OperatorProfile | None] = dict.fromkeys(
-            self._hands, request.operator
-        )
+        self.operators: dict[Side, OperatorProfile | None] = {
+            side: request.of(side).operator for side in self._hands
+        }
         configs = {side: p.retargeter.config for side, p in loop.pipelines.items()}
         self.used = DriverSpec(
             request.method, request.preset, request.config, configs, dict(self.operators)

@@ -103,12 +103,16 @@ class CalibrationSession:
                 "tracker is on and which hand it sees"
             )
         frames = [arrival.frame for arrival in self._frames]
+        nowhere = np.full(7, np.nan)
+        wrists = [nowhere if f.T_world_wrist is None else f.T_world_wrist for f in frames]
         return HandRecording(
             np.stack([frame.landmarks for frame in frames]),
             np.array([arrival.received for arrival in self._frames]),
             self.side,
             np.stack([frame.valid for frame in frames if frame.valid is not None]),
             name="live calibration",
+            T_world_wrist=np.stack(wrists),
+            world=frames[0].world,
         )
 
     def segments(self) -> list[Segment]:
@@ -117,5 +121,5 @@ class CalibrationSession:
         for number, prompt in enumerate(self.prompts):
             rows = [i for i, held in enumerate(self._held) if held == number]
             if rows:
-                holds.append(Segment(prompt.finger, rows[0], rows[-1] + 1, 1.0))
+                holds.append(Segment(prompt.name, rows[0], rows[-1] + 1, 1.0))
         return holds

@@ -72,12 +72,15 @@ class Mailbox:
         stop: emergency stop of the loop, for sources with a stop button; set by the loop.
         mode: function that returns the state of the loop: a ``Mode``, ``compiling``, or an empty
             string without a loop.
+        complete: function that completes each frame before it is posted, given its time of
+            reception [s]; set by ``CombinedSource``.
     """
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.clock = clock
         self.stop: Callable[[], None] = lambda: None
         self.mode: Callable[[], str] = lambda: ""
+        self.complete: Callable[[HandFrame, float], HandFrame] = lambda frame, received: frame
         self.received = 0
         self.received_of: Counter[Side] = Counter()
         self.overwritten = 0
@@ -98,6 +101,7 @@ class Mailbox:
     ) -> Arrival:
         """Posts a frame and returns its arrival; see ``Arrival`` for the arguments."""
         at = self.clock() if received is None else received
+        frame = self.complete(frame, at)
         with self._arrived:
             self.received += 1
             self.received_of[frame.side] += 1

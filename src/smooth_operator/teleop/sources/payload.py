@@ -10,7 +10,7 @@ A message is one of
 Instead of 21 landmarks, a message may have 25 (MANUS, WebXR) or 26 (OpenXR). Instead of a row
 x y z, a landmark may be an object, a row with a quaternion, or a 4 x 4 matrix. ``wrist`` is the
 pose of the wrist in the frame ``world``. 26 rows with quaternions also contain the wrist's pose, in
-OpenXR's axes (y up).
+OpenXR's axes (y up). A message with ``wrist`` and without landmarks is the pose of a tracker.
 """
 
 from __future__ import annotations
@@ -213,6 +213,14 @@ def hand_frame(
     )
 
 
+def pose_frame(
+    wrist: Float[np.ndarray, "7"], stamp: float | None, side: Side, world: str
+) -> HandFrame:
+    """Makes a frame without landmarks, for a tracker that gives a pose only."""
+    nowhere = np.full((schema.NUM_LANDMARKS, 3), np.nan)
+    return HandFrame(nowhere, stamp, side, T_world_wrist=wrist, world=world)
+
+
 def read_side(label: Any, otherwise: Side | None) -> Side:
     """Reads the side in a message, or returns ``otherwise``; raises RecordingError if the side is
     wrong or missing."""
@@ -248,22 +256,27 @@ def _read_hand(
     message: Mapping[str, Any], side: Side | None, received: float, forms: Forms
 ) -> Reading:
     field_name = next((key for key in ("landmarks", "joints") if key in message), None)
+    stamp, tracked = read_stamp(message, forms.stamp_unit), read_wrist(message)
+    known: dict[str, Any] = {
+        "stamp": received if stamp is None else stamp,
+        "side": read_side(message.get("side"), side),
+    }
+    if field_name is None and tracked:
+        frame = pose_frame(**known, **tracked)
+        return Reading(frame, stamp is not None, read_session(message))
     if field_name is None:
         keys = ", ".join(map(short, list(message)[:8])) or "nothing"
-        raise RecordingError(f"{_WHERE} has no 'landmarks'; it has {keys}")
+        raise RecordingError(f"{_WHERE} has no 'landmarks' and no 'wrist'; it has {keys}")
     points, turned = read_points(
         message[field_name], f"'{field_name}'", quaternion=forms.quaternion, matrix=forms.matrix
     )
     orientations = _beside(message, "orientations", (len(points), 4))
-    stamp = read_stamp(message, forms.stamp_unit)
-    tracked = read_wrist(message)
     if not tracked and turned is not None and len(points) == 26:
         joint = np.concatenate([points[_OPENXR_WRIST], turned[_OPENXR_WRIST]])
         tracked = {"wrist": to_ours(joint), "world": _world(message)}
     frame = hand_frame(
         points,
-        stamp=received if stamp is None else stamp,
-        side=read_side(message.get("side"), side),
+        **known,
         valid=message.get("valid"),
         orientations=turned if orientations is None else orientations,
         metacarpals=_beside(message, "metacarpals", (4, 3)),

@@ -1,0 +1,83 @@
+"""A source that takes the fingers from one tracker and the wrist from another."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.poses import compose
+from smooth_operator.teleop.sources.live import LiveSource, Mailbox, SourceHealth, source_gaps
+from smooth_operator.types import HandFrame, Side
+
+WRIST_AGE_S: Final = 0.1
+"""Age of a wrist's pose after which it does not count as valid [s]."""
+_WORST_FIRST: Final = ("failed", "ended", "waiting", "running")
+
+
+@dataclass(frozen=True)
+class CombinedSource:
+    """Hands of one source with the wrist poses of another one; see ``LiveSource``.
+
+    A frame gets the newest pose that arrived before it; if this is older than ``WRIST_AGE_S``, its
+    wrist is not valid.
+
+    Attributes:
+        hands: source of the landmarks; its own wrists are not used.
+        wrist: source of the poses; only ``HandFrame.T_world_wrist`` of its frames is used.
+        mounts: where its trackers sit on the hands: side -> pose of the wrist in the tracker's
+            frame. Without an entry, the pose of the tracker is that of the wrist.
+    """
+
+    hands: LiveSource
+    wrist: LiveSource
+    mounts: Mapping[Side, tuple[float, ...]]
+
+    @property
+    def label(self) -> str:
+        """Name for a person, in a few words."""
+        return f"{self.hands.label} with the wrist from {self.wrist.label}"
+
+    @property
+    def pinch_gaps(self) -> Mapping[str, float]:
+        """Gaps that the tracker of the fingers is known to report; see ``source_gaps``."""
+        return source_gaps(self.hands)
+
+    def prepare(self) -> None:
+        """Opens both sources."""
+        self.hands.prepare()
+        self.wrist.prepare()
+
+    def start(self, mailbox: Mailbox) -> None:
+        """Starts both sources."""
+        wrists = Mailbox(mailbox.clock)
+
+        def complete(frame: HandFrame, received: float) -> HandFrame:
+            newest = wrists.newest(frame.side)
+            if newest is None:
+                return dataclasses.replace(frame, T_world_wrist=None)
+            pose, mount = newest.frame.T_world_wrist, self.mounts.get(frame.side)
+            if pose is None or received - newest.received > WRIST_AGE_S:
+                pose = np.full(7, np.nan)
+            elif mount is not None:
+                pose = compose(pose, np.array(mount))
+            return dataclasses.replace(frame, T_world_wrist=pose, world=newest.frame.world)
+
+        mailbox.complete = complete
+        self.wrist.start(wrists)
+        self.hands.start(mailbox)
+
+    def stop(self) -> None:
+        """Stops both sources."""
+        self.hands.stop()
+        self.wrist.stop()
+
+    def health(self) -> SourceHealth:
+        """The worse health of the two, with the details of both."""
+        both = [(source.label, source.health()) for source in (self.hands, self.wrist)]
+        state = min((health.state for _, health in both), key=_WORST_FIRST.index)
+        details = (f"{label}: {health.detail}" for label, health in both if health.detail)
+        return SourceHealth(state, "; ".join(details))
