@@ -1,6 +1,6 @@
 /* An OpenXR runtime with two hands and no headset, for tests; it is steered by the functions at the
  * end. Written from the OpenXR specification 1.0 (structures, result codes, session life cycle,
- * XR_EXT_hand_tracking, XR_MND_headless, XR_KHR_convert_timespec_time) and its loader's interface:
+ * actions, XR_EXT_hand_tracking, XR_HTCX_vive_tracker_interaction, XR_MND_headless, XR_KHR_convert_timespec_time) and its loader's interface:
  * https://registry.khronos.org/OpenXR/specs/1.1/html/xrspec.html and .../loader.html
  */
 #include <stddef.h>
@@ -12,20 +12,23 @@ typedef int32_t XrResult;
 typedef uint64_t Handle;
 typedef struct { int32_t type; void *next; } Header;
 
-enum { SUCCESS = 0, EVENT_UNAVAILABLE = 4, VALIDATION = -1, FUNCTION_UNSUPPORTED = -7,
+enum { SUCCESS = 0, EVENT_UNAVAILABLE = 4, SESSION_NOT_FOCUSED = 8, VALIDATION = -1, FUNCTION_UNSUPPORTED = -7,
        FEATURE_UNSUPPORTED = -8, EXTENSION_NOT_PRESENT = -9, SIZE_INSUFFICIENT = -11,
        HANDLE_INVALID = -12, SESSION_RUNNING = -14, SYSTEM_INVALID = -18, SESSION_NOT_READY = -28,
-       SESSION_NOT_STOPPING = -29, TIME_INVALID = -30, FORM_FACTOR_UNAVAILABLE = -35,
+       SESSION_NOT_STOPPING = -29, PATH_UNSUPPORTED = -22,
+       TIME_INVALID = -30, ACTIONSET_NOT_ATTACHED = -46, FORM_FACTOR_UNAVAILABLE = -35,
        GRAPHICS_DEVICE_INVALID = -38 };
 enum { IDLE = 1, READY = 2, SYNCHRONIZED = 3, VISIBLE = 4, FOCUSED = 5, STOPPING = 6 };
-enum { INSTANCE = 11, SYSTEM = 22, SESSION = 33, SPACE = 44, TRACKER = 50 /* + hand */ };
+enum { INSTANCE = 11, SYSTEM = 22, SESSION = 33, SPACE = 44, TRACKER = 50 /* + hand */,
+       ACTION_SET = 66, ACTION = 77, ACTION_SPACE = 100 /* + path */ };
 enum { JOINTS = 26 };
 
 typedef struct { uint64_t flags; float orientation[4], position[3]; float radius; } Joint;
 
 static const char *EXTENSIONS[] = {
     "XR_EXT_hand_tracking", "XR_MND_headless", "XR_KHR_convert_timespec_time",
-    "XR_MNDX_xdev_space", "XR_EXTX_overlay", "XR_NVX1_tensor_data", "XR_NVX1_opaque_data_channel"};
+    "XR_MNDX_xdev_space", "XR_EXTX_overlay", "XR_NVX1_tensor_data", "XR_NVX1_opaque_data_channel",
+    "XR_HTCX_vive_tracker_interaction"};
 enum { KNOWN = sizeof EXTENSIONS / sizeof *EXTENSIONS };
 static int offered = 7, stage = 1, headset = 1, can_track = 1, ready_at_once = 0;
 static int enabled, state, running, instances;
@@ -33,6 +36,9 @@ static int queue[64], first, last;
 static int active[3];
 static Joint hands[3][JOINTS];
 static int64_t asked;
+static char paths[16][256]; /* a path is its place, from 1 */
+static int known, attached, synced, located_flags[16];
+static float placed[16][7];
 
 static void push(int next) { state = next; queue[last++ % 64] = next; }
 
@@ -67,7 +73,8 @@ static XrResult create_instance(
         if (!known) return EXTENSION_NOT_PRESENT;
         enabled |= known;
     }
-    first = last = state = running = 0;
+    first = last = state = running = known = attached = synced = 0;
+    memset(located_flags, 0, sizeof located_flags);
     instances++;
     *out = INSTANCE;
     return SUCCESS;
@@ -124,8 +131,82 @@ static XrResult system_properties(Handle instance, uint64_t system, Header *out)
 
 static XrResult destroy(Handle any) { return SUCCESS; }
 
-static XrResult locate_space(Handle space, Handle base, int64_t time, Header *out) {
-    return space == SPACE && base == SPACE ? SUCCESS : HANDLE_INVALID; /* nothing is valid in it */
+static XrResult locate_space(Handle space, Handle base, int64_t time,
+                             struct { int32_t type; void *next; uint64_t flags; float pose[7]; } *out) {
+    if (base != SPACE) return HANDLE_INVALID;
+    if (space == SPACE) return SUCCESS; /* nothing is valid in it */
+    int path = space - ACTION_SPACE;
+    if (path < 1 || path > known) return HANDLE_INVALID;
+    if (time <= 0) return TIME_INVALID;
+    asked = time;
+    out->flags = synced ? located_flags[path] : 0;
+    if (out->flags) memcpy(out->pose, placed[path], sizeof out->pose);
+    return SUCCESS;
+}
+
+static XrResult string_to_path(Handle instance, const char *text, uint64_t *out) {
+    if (instance != INSTANCE) return HANDLE_INVALID;
+    for (*out = 1; *out <= (uint64_t)known; ++*out)
+        if (!strcmp(paths[*out], text)) return SUCCESS;
+    strcpy(paths[known = *out], text);
+    return SUCCESS;
+}
+
+static XrResult create_action_set(Handle instance, const struct { int32_t type; const void *next;
+                                  char name[64], shown[128]; uint32_t priority; } *info, Handle *out) {
+    if (instance != INSTANCE) return HANDLE_INVALID;
+    if (info->type != 28 || !info->name[0] || !info->shown[0]) return VALIDATION;
+    *out = ACTION_SET;
+    return SUCCESS;
+}
+
+static XrResult create_action(Handle set, const struct { int32_t type; const void *next; char name[64];
+                              int32_t kind; uint32_t count; const uint64_t *paths;
+                              char shown[128]; } *info, Handle *out) {
+    if (set != ACTION_SET) return HANDLE_INVALID;
+    if (info->type != 29 || info->kind != 4 || !info->count || attached) return VALIDATION;
+    for (uint32_t k = 0; k < info->count; k++)
+        if (strncmp(paths[info->paths[k]], "/user/vive_tracker_htcx/role/", 29)) return PATH_UNSUPPORTED;
+    *out = ACTION;
+    return SUCCESS;
+}
+
+static XrResult suggest(Handle instance, const struct { int32_t type; const void *next;
+                        uint64_t profile; uint32_t count;
+                        const struct { Handle action; uint64_t path; } *bindings; } *info) {
+    if (instance != INSTANCE) return HANDLE_INVALID;
+    if (info->type != 51 || !info->count || attached) return VALIDATION;
+    if (strcmp(paths[info->profile], "/interaction_profiles/htc/vive_tracker_htcx")) return PATH_UNSUPPORTED;
+    for (uint32_t k = 0; k < info->count; k++) {
+        if (info->bindings[k].action != ACTION) return HANDLE_INVALID;
+        if (!strstr(paths[info->bindings[k].path], "/input/grip/pose")) return PATH_UNSUPPORTED;
+    }
+    return SUCCESS;
+}
+
+static XrResult attach(Handle session, const struct { int32_t type; const void *next; uint32_t count;
+                                                      const Handle *sets; } *info) {
+    if (session != SESSION || info->count != 1 || *info->sets != ACTION_SET) return HANDLE_INVALID;
+    if (info->type != 60) return VALIDATION;
+    attached = 1;
+    return SUCCESS;
+}
+
+static XrResult sync_actions(Handle session, const struct { int32_t type; const void *next; uint32_t count;
+                             const struct { Handle set; uint64_t path; } *sets; } *info) {
+    if (session != SESSION || info->count != 1 || info->sets->set != ACTION_SET) return HANDLE_INVALID;
+    if (info->type != 61 || info->sets->path) return VALIDATION;
+    if (!attached) return ACTIONSET_NOT_ATTACHED;
+    synced = state == FOCUSED;
+    return synced ? SUCCESS : SESSION_NOT_FOCUSED;
+}
+
+static XrResult create_action_space(Handle session, const struct { int32_t type; const void *next;
+                                    Handle action; uint64_t path; float pose[7]; } *info, Handle *out) {
+    if (session != SESSION || info->action != ACTION) return HANDLE_INVALID;
+    if (info->type != 38 || info->pose[3] != 1.0f) return VALIDATION;
+    *out = ACTION_SPACE + info->path;
+    return SUCCESS;
 }
 
 static XrResult begin_session(Handle session, const Header *info) {
@@ -234,6 +315,13 @@ static XrResult get_proc_addr(Handle instance, const char *name, void **out) {
         {"xrLocateSpace", locate_space, 0},
         {"xrEnumerateViewConfigurations", enumerate_views, 0},
         {"xrGetSystemProperties", system_properties, 0},
+        {"xrStringToPath", string_to_path, 0},
+        {"xrCreateActionSet", create_action_set, 0},
+        {"xrCreateAction", create_action, 128},
+        {"xrSuggestInteractionProfileBindings", suggest, 128},
+        {"xrAttachSessionActionSets", attach, 0},
+        {"xrSyncActions", sync_actions, 0},
+        {"xrCreateActionSpace", create_action_space, 0},
         {"xrLocateHandJointsEXT", locate, 1},
         {"xrConvertTimespecTimeToTimeKHR", convert_time, 4},
         {"xrConvertTimeToTimespecTimeKHR", convert_back, 4},
@@ -266,6 +354,13 @@ void change_state(int next) { push(next); }
 void show_hand(int hand, int visible, const Joint *joints) {
     memcpy(hands[hand], joints, sizeof hands[hand]);
     active[hand] = visible;
+}
+void show_tracker(const char *role, int flags, const float *pose) {
+    for (int k = 1; k <= known; k++)
+        if (!strncmp(paths[k], "/user/vive_tracker_htcx/role/", 29) && !strcmp(paths[k] + 29, role)) {
+            memcpy(placed[k], pose, sizeof placed[k]);
+            located_flags[k] = flags;
+        }
 }
 int open_instances(void) { return instances; }
 int is_running(void) { return running; }

@@ -1,22 +1,25 @@
 """The source ``openxr`` with the real loader and a runtime in C, written from the specification."""
 
+import ctypes
 import sys
 from collections.abc import Iterator
 from typing import Any
 
+import headset_apps as app
 import numpy as np
 import pytest
 from live_time import until
-from openxr_runtime import HANDS, NEEDS_COMPILER, check_frame, joints, loaded
+from openxr_runtime import HANDS, NEEDS_COMPILER, POSES, check_frame, joints, loaded
 from tracker_session import started
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
+from smooth_operator.poses import separation
 from smooth_operator_devices.trackers.openxr import OpenXrSource
 
 xr = pytest.importorskip("xr", reason="the extra 'openxr' is not installed")
 pytestmark = NEEDS_COMPILER
 
-ALL, HEADLESS, TRACKING = 7, 2, 1
+ALL, HEADLESS, TRACKING, TRACKERS = 7, 2, 1, 128
 STOPPING, LOSS_PENDING, READY = 6, 7, 2
 
 
@@ -99,6 +102,30 @@ def test_the_session_pauses_while_the_headset_sleeps(runtime):
         until(lambda: mailbox.received == 2)
 
 
+def test_trackers_give_the_poses_of_their_roles(runtime):
+    runtime.offer(ALL - TRACKING + TRACKERS, 1, 1, 1)
+
+    def show(role: str, flags: int, pose: Any) -> None:
+        values = (*app.openxr_turn(pose[3:]), *app.openxr_point(pose[:3]))
+        runtime.show_tracker(role.encode(), flags, (ctypes.c_float * 7)(*values))
+
+    with started("openxr:rate=500,track=trackers,left=handheld_object") as (source, mailbox):
+        runtime.change_state(READY)
+        until(lambda: "no tracker with the role" in source.health().detail)
+        show("right_wrist", 15, POSES["right"])
+        show("handheld_object", 3, POSES["left"])  # valid, but a guess
+        until(lambda: mailbox.received == 1)
+        frame = mailbox.all[0].frame
+        assert (frame.side, frame.world, frame.valid.any()) == ("right", "openxr", False)
+        assert (separation(frame.T_world_wrist, np.array(POSES["right"])) < 1e-5).all()
+        show("handheld_object", 15, POSES["left"])
+        until(lambda: mailbox.received_of["left"] == 1)
+        show("right_wrist", 0, POSES["right"])
+        show("handheld_object", 0, POSES["left"])
+        until(lambda: "role right_wrist or handheld_object now" in source.health().detail)
+    assert runtime.open_instances() == 0
+
+
 def test_a_runtime_that_ends_the_session_is_a_failure(runtime):
     with started("openxr") as (source, _):
         runtime.change_state(LOSS_PENDING)
@@ -111,7 +138,7 @@ def test_a_runtime_that_ends_the_session_is_a_failure(runtime):
     ("offers", "words"),
     [
         ((ALL - HEADLESS, 1, 1, 1), "lacks XR_MND_headless, which this source needs"),
-        ((ALL - TRACKING, 1, 1, 1), "lacks XR_EXT_hand_tracking"),
+        ((ALL - TRACKING + TRACKERS, 1, 1, 1), "lacks XR_EXT_hand_tracking"),
         ((ALL, 1, 0, 1), "of the tests has no headset now; connect it"),
         ((ALL, 1, 1, 0), "of the tests can't track hands with this headset"),
     ],
@@ -121,6 +148,11 @@ def test_a_runtime_that_can_t_track_hands_is_refused_at_the_start(runtime, offer
     with pytest.raises(SourceError, match=words):
         OpenXrSource().connect()
     assert runtime.open_instances() == 0
+
+
+def test_a_runtime_without_trackers_is_refused(runtime):
+    with pytest.raises(SourceError, match="lacks XR_HTCX_vive_tracker_interaction, which"):
+        OpenXrSource(track="trackers").connect()
 
 
 def test_without_a_stage_the_local_space_is_used(runtime):

@@ -1,4 +1,4 @@
-"""Hands of the active OpenXR runtime of this computer: SteamVR, Monado, Virtual Desktop and others.
+"""Hands or trackers of the active OpenXR runtime of this computer: SteamVR, Monado and others.
 
 The runtime gives 26 joints of each hand with ``XR_EXT_hand_tracking``, whatever tracks them: a
 headset, a camera, or gloves whose maker has an OpenXR layer. The session shows nothing
@@ -14,14 +14,17 @@ https://github.com/cmbruns/pyopenxr, 1.1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from smooth_operator.headsets.openxr_joints import openxr_frame
+from smooth_operator.poses import to_ours
 from smooth_operator.teleop.sources.inboxes import Inbox, Message
-from smooth_operator.types import HandFrame
-from smooth_operator_devices.trackers.openxr_session import OpenXrInbox
+from smooth_operator.teleop.sources.payload import pose_frame
+from smooth_operator.types import HandFrame, Side
+from smooth_operator_devices.trackers.openxr_session import HandInbox
+from smooth_operator_devices.trackers.openxr_trackers import TrackerInbox
 from smooth_operator_devices.trackers.polled import PolledSource
 
 WORLD: Final = "openxr"
@@ -30,17 +33,32 @@ WORLD: Final = "openxr"
 
 @dataclass(frozen=True)
 class OpenXrSource(PolledSource):
-    """Both hands from the active OpenXR runtime of this computer."""
+    """Both hands from the active OpenXR runtime of this computer, or Vive trackers on them.
+
+    Attributes:
+        track: ``hands`` with their fingers; or ``trackers``, poses only, for ``--wrist-source``.
+        right: role of the tracker on the right hand, as the runtime's settings give it.
+        left: role of the tracker on the left hand.
+    """
 
     label = "OpenXR"
+    track: Literal["hands", "trackers"] = "hands"
+    right: str = "right_wrist"
+    left: str = "left_wrist"
 
     def connect(self) -> Inbox:
         """Starts a session of the runtime."""
-        return OpenXrInbox(tuple(self.sides), self.rate)
+        if self.track == "hands":
+            return HandInbox(tuple(self.sides), self.rate)
+        roles: dict[Side, str] = {"right": self.right, "left": self.left}
+        return TrackerInbox({side: roles[side] for side in self.sides}, self.rate)
 
     def frame(self, message: Message, received: float) -> HandFrame:
-        """Hand with 26 joints; see ``PolledSource``."""
-        side, joints = message
-        poses = np.concatenate([joints["place"], joints["turn"]], axis=1)
+        """Hand with 26 joints, or the pose of a tracker; see ``PolledSource``."""
+        side, data = message
+        if self.track == "trackers":
+            x, y, z, *xyz, w = data
+            return pose_frame(to_ours([x, y, z, w, *xyz]), received, side, WORLD)
+        poses = np.concatenate([data["place"], data["turn"]], axis=1)
         where = f"the {side} hand"
-        return openxr_frame(poses, joints["flags"], side, received, world=WORLD, where=where)
+        return openxr_frame(poses, data["flags"], side, received, world=WORLD, where=where)

@@ -1,4 +1,4 @@
-"""A session of the active OpenXR runtime that asks for hands and shows nothing.
+"""A session of the active OpenXR runtime that asks for hands or trackers and shows nothing.
 
 Source: the OpenXR specification, https://registry.khronos.org/OpenXR/specs/1.1/html/xrspec.html
 (session life cycle, ``XR_EXT_hand_tracking``, ``XR_MND_headless``), and the bindings of
@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import sys
 import time
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -22,7 +23,6 @@ from smooth_operator.types import Side
 from smooth_operator_devices.trackers.polled import PolledInbox
 
 _EXTENSIONS: Final = (
-    "XR_EXT_hand_tracking",
     "XR_MND_headless",
     "XR_KHR_win32_convert_performance_counter_time"
     if sys.platform == "win32"
@@ -35,18 +35,24 @@ _JOINT: Final = np.dtype(
 
 
 class OpenXrInbox(PolledInbox):
-    """A session without pictures; a message is the side and the 26 joints of a tracked hand.
+    """Base of the sessions; a subclass asks for hands or trackers.
 
     Args:
-        sides: hands to ask for.
         rate: number of times per second that the runtime is asked [Hz].
+
+    Attributes:
+        extension: extension of OpenXR that the subclass needs.
+        missing: what the runtime lacks while nothing is tracked.
 
     Raises:
         MissingExtraError: pyopenxr is missing.
-        SourceError: there is no runtime, or it can't track hands.
+        SourceError: there is no runtime, or it can't track what is asked for.
     """
 
-    def __init__(self, sides: Sequence[Side], rate: float) -> None:
+    extension: str
+    missing: str
+
+    def __init__(self, rate: float) -> None:
         super().__init__(rate)
         try:
             import xr
@@ -58,7 +64,8 @@ class OpenXrInbox(PolledInbox):
         self.address = "the OpenXR runtime"
         self.problem = "the session has not begun; put the headset on, or wake it"
         try:
-            self._open(sides)
+            self._open()
+            self.begin()
         except xr.XrException as error:
             self.close()
             raise SourceError(self._refusal(error)) from error
@@ -81,17 +88,18 @@ class OpenXrInbox(PolledInbox):
             )
         return f"{self.address} refused a session: {reason(error)}"
 
-    def _open(self, sides: Sequence[Side]) -> None:
+    def _open(self) -> None:
         xr = self._xr
         offered = {str(each) for each in xr.enumerate_instance_extension_properties()}
-        if missing := [name for name in _EXTENSIONS if name not in offered]:
+        extensions = (self.extension, *_EXTENSIONS)
+        if missing := [name for name in extensions if name not in offered]:
             raise SourceError(
                 f"the active OpenXR runtime lacks {listed(missing)}, which this source needs; "
                 "Monado, SteamVR and Virtual Desktop have them"
             )
         info = xr.ApplicationInfo(application_name="smooth-operator")
         self._instance = xr.create_instance(
-            xr.InstanceCreateInfo(application_info=info, enabled_extension_names=_EXTENSIONS)
+            xr.InstanceCreateInfo(application_info=info, enabled_extension_names=extensions)
         )
         name = xr.get_instance_properties(self._instance).runtime_name
         self.address = f"the OpenXR runtime {name.decode('utf-8', 'replace')}"
@@ -102,46 +110,26 @@ class OpenXrInbox(PolledInbox):
         self._space = xr.create_reference_space(
             self._session, xr.ReferenceSpaceCreateInfo(reference_space_type=kind)
         )
-        hands = {"left": xr.HandEXT.LEFT, "right": xr.HandEXT.RIGHT}
-        self._trackers = {
-            side: xr.create_hand_tracker_ext(
-                self._session, xr.HandTrackerCreateInfoEXT(hand=hands[side])
-            )
-            for side in sides
-        }
-        # pyopenxr's own function passes no array of joints, which the specification demands.
-        self._locate = ctypes.cast(
-            xr.get_instance_proc_addr(self._instance, "xrLocateHandJointsEXT"),
-            xr.PFN_xrLocateHandJointsEXT,
-        )
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Prepares the session, before it runs; errors are those of pyopenxr."""
+
+    @abstractmethod
+    def located(self, time: Any) -> list[Message]:
+        """Messages of what is tracked at a time of the runtime."""
 
     def ask(self) -> list[Message]:
-        """Hands that are tracked; see ``PolledInbox``."""
-        xr = self._xr
+        """What is tracked now; see ``PolledInbox``."""
         try:
             self._follow_events()
             if not self._runs:
                 return []
-            info = xr.HandJointsLocateInfoEXT(base_space=self._space, time=self._time())
-            messages = [
-                (side, joints)
-                for side, tracker in self._trackers.items()
-                if (joints := self._joints(tracker, info)) is not None
-            ]
-        except xr.XrException as error:
+            messages = self.located(self._time())
+        except self._xr.XrException as error:
             raise SourceError(f"{self.address} failed: {reason(error)}") from error
-        self.problem = "" if messages else f"{self.address} tracks no hand now"
+        self.problem = "" if messages else f"{self.address} {self.missing}"
         return messages
-
-    def _joints(self, tracker: Any, info: Any) -> np.ndarray | None:
-        """Joints of a hand; None while it is not tracked."""
-        xr = self._xr
-        joints = (xr.HandJointLocationEXT * JOINTS)()
-        locations = xr.HandJointLocationsEXT(joint_locations=joints)
-        result = self._locate(tracker, ctypes.byref(info), ctypes.byref(locations))
-        if result < 0:
-            raise SourceError(f"{self.address} can't locate a hand: {xr.Result(result).name}")
-        return np.frombuffer(bytes(joints), _JOINT) if locations.is_active else None
 
     def _follow_events(self) -> None:
         """Begins and ends the session as the runtime's events say."""
@@ -180,3 +168,51 @@ class OpenXrInbox(PolledInbox):
         if self._instance is not None:
             self._xr.destroy_instance(self._instance)
             self._instance = None
+
+
+class HandInbox(OpenXrInbox):
+    """A session with hands; a message is the side and the 26 joints of a tracked hand.
+
+    Args:
+        sides: hands to ask for.
+        rate: number of times per second that the runtime is asked [Hz].
+    """
+
+    extension = "XR_EXT_hand_tracking"
+    missing = "tracks no hand now"
+
+    def __init__(self, sides: Sequence[Side], rate: float) -> None:
+        self._sides = sides
+        super().__init__(rate)
+
+    def begin(self) -> None:
+        """Makes a tracker of each hand; see ``OpenXrInbox``."""
+        xr = self._xr
+        hands = {"left": xr.HandEXT.LEFT, "right": xr.HandEXT.RIGHT}
+        self._trackers = {
+            side: xr.create_hand_tracker_ext(
+                self._session, xr.HandTrackerCreateInfoEXT(hand=hands[side])
+            )
+            for side in self._sides
+        }
+        # pyopenxr's own function passes no array of joints, which the specification demands.
+        self._locate = ctypes.cast(
+            xr.get_instance_proc_addr(self._instance, "xrLocateHandJointsEXT"),
+            xr.PFN_xrLocateHandJointsEXT,
+        )
+
+    def located(self, time: Any) -> list[Message]:
+        """Hands that are tracked; see ``OpenXrInbox``."""
+        info = self._xr.HandJointsLocateInfoEXT(base_space=self._space, time=time)
+        found = ((side, self._joints(tracker, info)) for side, tracker in self._trackers.items())
+        return [(side, joints) for side, joints in found if joints is not None]
+
+    def _joints(self, tracker: Any, info: Any) -> np.ndarray | None:
+        """Joints of a hand; None while it is not tracked."""
+        xr = self._xr
+        joints = (xr.HandJointLocationEXT * JOINTS)()
+        locations = xr.HandJointLocationsEXT(joint_locations=joints)
+        result = self._locate(tracker, ctypes.byref(info), ctypes.byref(locations))
+        if result < 0:
+            raise SourceError(f"{self.address} can't locate a hand: {xr.Result(result).name}")
+        return np.frombuffer(bytes(joints), _JOINT) if locations.is_active else None
