@@ -37,7 +37,7 @@ OPERATOR.report.json.
 
 With --wrist-source, the program finds where a tracker sits on the glove: the operator turns the
 hand about the wrist, then slides the flat hand along a table. The result is added to OPERATOR.json;
-each hand has its own (docs/how-to/wrist-trackers.md).
+each hand has its own (docs/how-to/trackers.md).
 
 Examples:
   smooth-operator calibrate glove.npz --output operator.json

@@ -21,7 +21,7 @@ class TeleopRequest(MethodRequest):
 
     wrist_source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Second source, from which only the wrist is taken, such as a tracker on a glove
-    (docs/how-to/wrist-trackers.md). The operator file has its place on the hand."""
+    (docs/how-to/trackers.md). The operator file has its place on the hand."""
 
     sink: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
     """Sinks that receive the commands, besides the page."""
