@@ -63,6 +63,7 @@ SHARED = {
     "simulation": 5,
     "calibration": 5,
     "synthetic": 5,
+    "wrist_following": 6,
     ROOT: 7,
     "baselines": 7,
     "execution": 7,

@@ -94,7 +94,7 @@ def test_a_hand_of_the_package_is_the_same_hand(root):
     assert menagerie_file(hand) == path
     there = drawn_on(hand, "menagerie")
     assert there.model.nmesh == 1
-    assert there.model.njnt == len(hand.joint_names) + 2
+    assert there.model.njnt == hand.model.njnt + 2
     assert there.joint_names == hand.joint_names
     np.testing.assert_allclose(there.align_points, hand.align_points, atol=1e-6)
     drawn = HandView(there).meshes

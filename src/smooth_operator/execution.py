@@ -24,6 +24,7 @@ from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter, check_method
 from smooth_operator.types import CommandTrajectory
+from smooth_operator.wrist_following import WristSolver
 
 Runner: TypeAlias = BatchRetargeter | TrajectoryRetargeter
 """A retargeter for recordings: frame by frame, or as a whole."""
@@ -98,6 +99,7 @@ def checked(request: RetargetRequest) -> RetargetRequest:
 
     Raises:
         UnknownNameError: there is no such hand or finger.
+        HandModelError: the wrist joints of the hand can't be commanded.
         SmoothOperatorError: the method can't be used with the hand.
         ConfigError: scale, rate, frames or operator are not valid.
     """
@@ -106,6 +108,8 @@ def checked(request: RetargetRequest) -> RetargetRequest:
         request.operator.check(hand.spec.side)
     config = request.config
     check_method(config, hand)
+    if request.wrist_joints and hand.spec.wrist_joints:
+        WristSolver(hand)
     if isinstance(request.scale, float | int):
         replace(config.alignment, scale=float(request.scale))  # refuses a bad scale
     stamps_from_rate(0, request.rate, "--rate")  # refuses a bad rate

@@ -17,6 +17,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.io.documents import read_json
 from smooth_operator.request import PinchGapChoice, Scale, parse_fingers
 from smooth_operator.result_cache import content_digest, key_digest, outside_code
@@ -36,6 +37,7 @@ _MOST_BYTES: Final = 64_000_000  # of a configuration that lists thousands of re
 
 _CODE: Final = (
     *("geometry.py", "landmarks.py", "planning.py", "execution.py", "poses.py", "types.py"),
+    "wrist_following.py",
     *("hands", "retargeting", "baselines"),
     *("io", "formats", "episode_files", "headsets", "teleop/recording"),
 )
@@ -75,6 +77,7 @@ class RetargetRequest(MethodChoice):
         frames: range of frames of each recording, as text; None for all frames.
         operator: known properties of the operator, or None.
         pinch_gaps: see ``PinchGapChoice``.
+        wrist_joints: True to command the wrist joints of the hand, if it has any.
     """
 
     hand: str | HandSpec
@@ -85,6 +88,7 @@ class RetargetRequest(MethodChoice):
     frames: str | None = None
     operator: OperatorProfile | None = None
     pinch_gaps: PinchGapChoice = "tracker"
+    wrist_joints: bool = False
 
     def known_gaps(self, tracker: Mapping[str, float] = NO_GAPS) -> Mapping[str, float] | None:
         """``pinch_gaps`` for a retargeter: those of the operator, otherwise those of the tracker.
@@ -137,6 +141,14 @@ class RetargetRequest(MethodChoice):
             hand = hand.mirrored
         return load_hand(hand, side, fingers=self.fingers)
 
+    def commanded(self, hand: Hand) -> Hand:
+        """A loaded hand with the joints that are commanded.
+
+        Raises:
+            HandModelError: its wrist joints can't be commanded.
+        """
+        return with_wrist_joints(hand) if self.wrist_joints else hand
+
 
 def make_request(
     *,
@@ -152,6 +164,7 @@ def make_request(
     fingers: str | None = None,
     operator: OperatorProfile | Path | None = None,
     pinch_gaps: PinchGapChoice = "tracker",
+    wrist_joints: bool = False,
 ) -> RetargetRequest:
     """Makes a request from a user's settings: resolves names, parses texts, reads files.
 
@@ -174,6 +187,7 @@ def make_request(
         fingers=None if fingers is None else parse_fingers(fingers),
         operator=read_operator(operator) if isinstance(operator, Path) else operator,
         pinch_gaps=pinch_gaps,
+        wrist_joints=wrist_joints,
     )
 
 

@@ -37,6 +37,10 @@ PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
 known; those of MediaPipe; or off, to use the landmarks unchanged.
 """
 
+WristJointChoice: TypeAlias = Literal["auto", "on", "off"]
+"""Whether the wrist joints of a hand follow the operator's wrist; auto: unless the pose of the
+wrist as a whole is for an arm."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MethodRequest:

@@ -229,7 +229,7 @@ class JointCommand:
 
     Attributes:
         joint_positions: (n,) joint positions [rad] of all joints, coupled ones included.
-        joint_names: (n,) joint names, in the model's own order.
+        joint_names: (n,) joint names, in the model's own order, wrist joints last.
         stamp: timestamp of the hand frame from which the command was computed [s].
     """
 

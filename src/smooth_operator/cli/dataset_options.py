@@ -55,6 +55,7 @@ request is invalid, 130 stopped."""
         "frame",
         "mano",
         "objects",
+        "wrist_joints",
         "whole",
         "hands",
         "min_confidence",

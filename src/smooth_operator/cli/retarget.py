@@ -18,6 +18,7 @@ from smooth_operator.cli.common_options import (
     Retargeting,
 )
 from smooth_operator.errors import ConfigError, OutputError
+from smooth_operator.request import WristJointChoice
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ Examples:
   smooth-operator retarget /nfs/recordings --cluster auto --output /nfs/commands
 """
 
-    rare: ClassVar[frozenset[str]] = RARE
+    rare: ClassVar[frozenset[str]] = RARE | {"wrist_joints"}
 
     recording: Annotated[Positional[Path], arg(metavar="RECORDING|FOLDER")]
     """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log; or a
@@ -57,6 +58,10 @@ Examples:
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording."""
+
+    wrist_joints: WristJointChoice = "auto"
+    """Whether the robot hand's wrist joints, if it has any, follow the wrist of the recording,
+    relative to its first valid frame (docs/how-to/hands.md). auto: on."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
@@ -90,6 +95,7 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.planning import configuration, plan
     from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
     from smooth_operator.types import Status
+    from smooth_operator.wrist_following import add_wrist_commands
 
     if options.recording.is_dir():
         retarget_folder(options)
@@ -107,6 +113,7 @@ def retarget(options: Retarget) -> None:
         rate=options.rate,
         layout=options.layout,
         frames=options.frames,
+        wrist_joints=options.wrist_joints != "off",
     )
     recording = request.read_recording(options.recording, options.rate)
     for note in reading_notes(recording, str(options.recording)):
@@ -124,7 +131,10 @@ def retarget(options: Retarget) -> None:
             rate=options.rate,
             layout=options.layout,
         )
-        write_commands(options.output, outcome.commands, config)
+        commands = outcome.commands
+        if request.wrist_joints:
+            commands = add_wrist_commands(commands, todo.recording, todo.hand)
+        write_commands(options.output, commands, config)
     held = int((outcome.commands.status != Status.OK).sum())
     if held:
         done = (
@@ -172,6 +182,7 @@ def retarget_folder(options: Retarget) -> None:
         rate=options.rate,
         layout=options.layout,
         frames=options.frames,
+        wrist_joints=options.wrist_joints != "off",
     )
     make_shown(
         MirrorRequest(

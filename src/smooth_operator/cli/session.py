@@ -27,13 +27,21 @@ def requested(
     rate: float | None = None,
     layout: str | None = None,
     frames: str | None = None,
+    wrist_joints: bool = False,
 ) -> RetargetRequest:
     """Creates a request from the options, and reads the files that they name.
 
     Raises:
         SmoothOperatorError: an option or a file is invalid.
     """
-    return make_request(**options.settings(), side=side, rate=rate, layout=layout, frames=frames)
+    return make_request(
+        **options.settings(),
+        side=side,
+        rate=rate,
+        layout=layout,
+        frames=frames,
+        wrist_joints=wrist_joints,
+    )
 
 
 def execute_shown(todo: Plan, progress: Progressing) -> Outcome:

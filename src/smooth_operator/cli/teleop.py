@@ -59,6 +59,7 @@ be opened, 130 stopped by Ctrl-C or another signal."""
             "safety",
             "limits",
             "wrist",
+            "wrist_joints",
             "quiet",
         }
     )

@@ -13,6 +13,9 @@ from smooth_operator.cli.common_options import Common, HandSide, Meshes, Ordered
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float
+
     from smooth_operator.hands.hand import Hand
     from smooth_operator.hands.spec import FingerChoice
     from smooth_operator.metrics import Trace
@@ -96,7 +99,7 @@ def view(options: View) -> None:
     if len(runs) == 1 and runs[0].made_by:
         title += f": {runs[0].made_by}"
     pages = [
-        Playback(title, run.hand, run.trace, drawn, label)
+        Playback(title, run.hand, run.trace, drawn, label, run.palms)
         for run, label in zip(runs, labels, strict=True)
     ]
     if options.save is not None:
@@ -126,14 +129,17 @@ class _Run:
     hand: Hand
     trace: Trace
     made_by: str
+    palms: Float[np.ndarray, "T 7"] | None = None
 
 
 def _run(options: View, out: Path, source: Path) -> _Run:
     from smooth_operator.formats.commands import config_path, read_commands
     from smooth_operator.formats.readers import read_recording
     from smooth_operator.hands.registry import load_hand
+    from smooth_operator.hands.wrist_joints import has_joints
     from smooth_operator.metrics.assemble import assemble_trace
     from smooth_operator.planning import read_configuration
+    from smooth_operator.wrist_following import palm_motion
 
     commands = _chosen(read_commands(out), options.frames)
     config = read_configuration(config_path(out)) or {}
@@ -147,7 +153,7 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     recording = _answered(commands, recording, out, source)
     name = options.hand or config.get("hand", "mimic_p050")
     hand = load_hand(name, recording.side, fingers=_fingers(options, config))
-    if commands.joint_names != hand.joint_names:
+    if not has_joints(hand, commands.joint_names):
         raise HandModelError(
             f"{out} holds commands for the joints {', '.join(commands.joint_names)}, "
             f"but the hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand "
@@ -155,7 +161,9 @@ def _run(options: View, out: Path, source: Path) -> _Run:
         )
     trace = assemble_trace(recording, commands, hand, _alignment(config))
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)
-    return _Run(out, hand, trace, made_by)
+    wrist = commands.joint_positions[:, len(hand.joint_names) :]
+    palms = palm_motion(hand, wrist) if wrist.shape[1] else None
+    return _Run(out, hand, trace, made_by, palms)
 
 
 def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajectory:

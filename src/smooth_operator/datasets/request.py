@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal
 from tyro.conf import Positional, arg
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.request import MethodRequest
+from smooth_operator.request import MethodRequest, WristJointChoice
 
 DATASET: Final = "dataset"
 """Name of the data set's folder inside the folder of results."""
@@ -112,6 +112,11 @@ class DatasetRequest(Limits, MethodRequest):
 
     side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
     """Use only this hand. Recordings that do not state their side are taken as this hand."""
+
+    wrist_joints: WristJointChoice = "auto"
+    """Whether the robot hand's wrist joints, if it has any, follow the human wrist, relative to the
+    first valid frame of a clip (docs/how-to/hands.md). auto: off, since a data set has the pose of
+    the wrist, which an arm follows."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
     """Layout of the sources, such as egodex or files. Default: detected from the files."""

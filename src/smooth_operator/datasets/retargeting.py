@@ -35,6 +35,7 @@ from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 from smooth_operator.version import package_version
+from smooth_operator.wrist_following import add_wrist_commands
 
 _OBJECT_AWARE: Final = Entry("smooth_hand_datasets.objects.retargeter:object_aware")
 """Function that retargets one hand of a clip with its objects, given clip, side and plan.
@@ -120,7 +121,12 @@ class Recipe:
             SmoothOperatorError: a setting is not valid.
         """
         if resolved is None:
-            resolved = make_request(**request.settings(), side=request.side, rate=request.rate)
+            resolved = make_request(
+                **request.settings(),
+                side=request.side,
+                rate=request.rate,
+                wrist_joints=request.wrist_joints == "on",
+            )
         return cls(
             checked(resolved),
             request.frame,
@@ -331,6 +337,11 @@ def _result(
 ) -> RobotClip:
     clip, request = todo.clip, recipe.request
     commands = {side: done[side].commands for side in todo.plans}
+    if request.wrist_joints:
+        commands = {
+            side: add_wrist_commands(commands[side], each.recording, each.hand)
+            for side, each in todo.plans.items()
+        }
     tracks = {
         f"{side}.{name}": values
         for side in todo.plans

@@ -504,7 +504,9 @@ def _fitted(order: Order) -> WritingOptions:
     return replace(
         writing,
         joints={
-            side: order.resolved.load_hand(side).joint_names for side in SIDES if side in sides
+            side: order.resolved.commanded(order.resolved.load_hand(side)).joint_names
+            for side in SIDES
+            if side in sides
         },
         camera=any(pack.camera for pack in packs),
         objects=min(writing.objects, max((pack.objects for pack in packs), default=0)),

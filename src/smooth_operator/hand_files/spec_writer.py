@@ -70,6 +70,8 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
     yield f"palm = {toml_value(spec.palm)}"
     yield f"wrist = {_point(spec.wrist)}"
     yield f"align = {toml_value(spec.align)}"
+    if spec.wrist_joints:
+        yield f"wrist_joints = {toml_value(spec.wrist_joints)}"
     if isinstance(spec.torque, float | int):
         yield f"torque = {toml_value(float(spec.torque))} # N m"
     for finger in spec.fingers:

@@ -91,7 +91,16 @@ def _carried(hand: Hand, model: mujoco.MjModel, path: Path) -> HandSpec:
     for finger in spec.fingers:
         a, b, c, d = (None if point is None else carry(point) for point in finger.points)
         fingers.append(FingerSpec(finger.name, (a, b, c, d)))
-    return replace(spec, model=path, palm=palm, wrist=carry(spec.wrist), fingers=tuple(fingers))
+    return replace(
+        spec,
+        model=path,
+        palm=palm,
+        wrist=carry(spec.wrist),
+        fingers=tuple(fingers),
+        neutral={name: q for name, q in spec.neutral.items() if name in hand.joint_names},
+        torque=None,
+        wrist_joints=(),
+    )
 
 
 def _palm(hand: Hand, model: mujoco.MjModel) -> str:

@@ -216,7 +216,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     every = tuple(model.joint(j).name for j in range(model.njnt))
     torques = spec.torque if isinstance(spec.torque, Mapping) else {}
     coupled = [name for one in couplings for name in (one.joint, one.follows)]
-    for name in [*spec.neutral, *torques, *coupled]:
+    for name in [*spec.neutral, *torques, *coupled, *spec.wrist_joints]:
         if name not in every:
             raise UnknownNameError("joint", name, every)
     names = tuple(every[j] for j in own)

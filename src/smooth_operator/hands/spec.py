@@ -176,6 +176,8 @@ class HandSpec:
             name means its base; or ``wrist``. The paper's authors use thumb, index and pinky;
             a hand of two fingers needs the wrist.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for other joints.
+        wrist_joints: names of the joints between forearm and palm, from the forearm; see
+            ``with_wrist_joints``.
         mirror: True if the file holds the other side and is to be mirrored on loading.
         gripper: True for a gripper of two jaws, of which one may be fixed. It has no side: either
             human hand drives the same model.
@@ -201,6 +203,7 @@ class HandSpec:
     torque: float | Mapping[str, float] | None = None
     couplings: tuple[Coupling, ...] = ()
     source: str = ""
+    wrist_joints: tuple[str, ...] = ()
 
     @property
     def mirrored(self) -> HandSpec:

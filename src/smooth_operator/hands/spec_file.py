@@ -12,6 +12,7 @@
     palm = "palm"                       # body whose frame is the palm frame
     wrist = { body = "palm", offset = [0.0, 0.0, -0.03] }
     align = ["wrist", "thumb", "index"] # optional
+    wrist_joints = ["w1"]               # optional: joints from forearm to palm
 
     [fingers.thumb]                     # named after the human finger that drives it
     cmc = { body = "t1" }
@@ -50,6 +51,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -113,23 +115,7 @@ def check_hand_name(name: str) -> str:
 
 def _spec(entries: Entries, folder: Path) -> HandSpec:
     entries.check_format(FORMAT)
-    entries.only(
-        "format",
-        "name",
-        "side",
-        "source",
-        "model",
-        "mirror",
-        "gripper",
-        "palm",
-        "wrist",
-        "align",
-        "fingers",
-        "neutral",
-        "torque",
-        "joint_map",
-        "couplings",
-    )
+    entries.only("format", *(each.name for each in fields(HandSpec)))
     side: Side = entries.choice("side", ("right", "left"))
     fingers = entries.table("fingers")
     fingers.only(*FINGERS)
@@ -139,6 +125,8 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
     more: dict[str, Any] = {}
     if "align" in entries.names:
         more["align"] = tuple(entries.texts("align", what="names of fingers or 'wrist'"))
+    if "wrist_joints" in entries.names:
+        more["wrist_joints"] = tuple(entries.texts("wrist_joints", what="names of joints"))
     return HandSpec(
         name=check_hand_name(entries.text("name", empty=False)),
         side=side,

@@ -11,6 +11,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.surfaces import tip_surface_distances
+from smooth_operator.hands.wrist_joints import has_joints
 from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.metrics.trace import Trace
@@ -34,7 +35,7 @@ def assemble_trace(
 
     Args:
         recording: the human hand, T frames.
-        commands: the T commands for these frames.
+        commands: the T commands for these frames; wrist joints are left out.
         hand: the robot hand of the commands.
         alignment: the alignment of the method, so that the human hand is measured as the method
             used it; None for the default, which estimates a scale in each frame.
@@ -53,12 +54,12 @@ def assemble_trace(
             f"{recording.name}: the {len(recording)} frames are not those of the "
             f"{len(commands)} commands; their timestamps differ"
         )
-    if commands.joint_names != hand.joint_names:
+    if not has_joints(hand, commands.joint_names):
         raise RecordingError(
             f"{recording.name}: the commands are for the joints {commands.joint_names}, not those "
             f"of the hand {hand.name!r}, {hand.joint_names}"
         )
-    q = np.asarray(commands.joint_positions, np.float64)
+    q = np.asarray(commands.joint_positions, np.float64)[:, : len(hand.joint_names)]
     points = np.asarray(hand.tree.positions(q))
     landmarks = np.full((len(q), NUM_LANDMARKS, 3), np.nan)
     landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = points

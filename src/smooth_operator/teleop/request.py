@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from smooth_operator.request import MethodRequest
+from smooth_operator.request import MethodRequest, WristJointChoice
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, WristConfig
 
 
@@ -35,6 +35,10 @@ class TeleopRequest(MethodRequest):
     """Arm that carries the hand and follows the operator's wrist (arm extra): panda, ur5e, xarm7 or
     iiwa14. Settings: adapter=0.02 [m], roll=90 [degrees], spacing=1.0 between two arms, table=0.0
     [m], no_table=true, collisions=false (docs/robots/arms.md)."""
+
+    wrist_joints: WristJointChoice = "auto"
+    """Whether the robot hand's wrist joints, if it has any, follow the operator's wrist
+    (docs/how-to/teleoperate.md). auto: on, but off with --arm or --task."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Folder for a record of every trial of the task."""

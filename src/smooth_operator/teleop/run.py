@@ -131,7 +131,16 @@ def teleoperate(
         side = default_side(spec) if isinstance(spec, str) else "right"
     texts: list[str | Sink] = [*sinks, *with_task(request.sink, request.task)]
     operator = _operator(request.operator, "right" if side == "both" else side)
-    retarget = make_request(**request.settings() | {"hand": spec, "operator": operator})
+    fixed = request.arm is not None or request.task is not None
+    if request.wrist_joints == "on" and fixed:
+        raise ConfigError(
+            "--wrist-joints on can't be used with --arm or --task: an arm follows the operator's "
+            "wrist as a whole, and in a task of the study the palm does not move; remove one of "
+            "them"
+        )
+    wrist_joints = request.wrist_joints != "off" and not fixed
+    settings = request.settings() | {"hand": spec, "operator": operator}
+    retarget = make_request(**settings, wrist_joints=wrist_joints)
     names = [name for text in request.methods for name in text.split(",")]
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     source = build_source(request.source, side) if source is None else source
@@ -185,7 +194,7 @@ class _Run:
     def check(self, page: PageSettings | None) -> None:
         """Check extras, files, models, addresses and ports, and open the source."""
         self._load(self.request)
-        hands = {side: hand for side, (hand, _) in self.hands.items()}
+        hands = {side: self.request.commanded(hand) for side, (hand, _) in self.hands.items()}
         SinkRunner(self.sinks).check(hands)
         if self.teleop.control is not None:
             from smooth_operator.teleop.control.rpc import check_address
@@ -196,7 +205,7 @@ class _Run:
 
             free_port(page.host, page.port)
             if page.model is not None:
-                for hand in hands.values():
+                for hand, _ in self.hands.values():
                     drawn_on(hand, page.model)  # as later in the page's process
         self.source.prepare()
 
@@ -205,7 +214,7 @@ class _Run:
         both = len(self.sides) > 1
         hands = {side: resolve(request.of(side) if both else request, side) for side in self.sides}
         for hand, _ in hands.values():
-            Limiter(hand, self.config.limits)
+            Limiter(request.commanded(hand), self.config.limits)
         return hands
 
     def _load(self, request: RetargetRequest) -> None:
@@ -279,6 +288,7 @@ class _Run:
                 driver=Driver(request.method, request.preset, retargeter.config),
                 arm=self.arms[side].controller if self.arms else None,
                 compiling=not retargeter.compiled,
+                wrist_joints=request.wrist_joints,
             )
             for side, retargeter in retargeters.items()
         }

@@ -80,6 +80,7 @@ from smooth_operator.episode_files.lerobot.schema import (
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 
 NO_COMMAND: Final = -1
@@ -317,6 +318,8 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
     assert episode.commands is not None and episode.states is not None  # noqa: PT018
     side = config.get("side", "right") if episode.recording is None else episode.recording.side
     hand = load_hand(config["hand"], side)
+    if set(hand.spec.wrist_joints) <= set(episode.commands.joint_names):
+        hand = with_wrist_joints(hand)
     for names in (episode.commands.joint_names, episode.states.names):
         missing = [name for name in hand.joint_names if name not in names]
         if missing:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
@@ -106,6 +107,7 @@ class _Pane:
 
     def __init__(self, run: Playback, robot: Playback | None) -> None:
         self._human = None if robot else run.trace.human
+        self._views: Float[np.ndarray, "T 7"] | None = None
         self._pinches, self._landmarks = run.pinches(), run.tips
         self._colors: list[Rgb] = [tuple(c) for c in finger_colors(len(run.tips)).tolist()]
         self._axes = view_axes(HandView(run.hand, simple=True))
@@ -117,11 +119,15 @@ class _Pane:
         else:
             drawn, trace = robot.drawn or robot.hand, robot.trace
             self._model, (turn, origin) = drawn.model, _palm(drawn)
-            poses = np.tile(drawn.full_configuration(drawn.neutral), (len(robot), 1))
+            positions = np.tile(drawn.full_configuration(drawn.neutral), (len(robot), 1))
             order = [drawn.joint_names.index(name) for name in robot.hand.joint_names]
-            poses[:, order] = trace.joint_positions
-            self._qpos, self._axes = drawn.qpos(poses), self._axes @ turn.T
+            positions[:, order] = trace.joint_positions
+            self._qpos, self._axes = drawn.qpos(positions), self._axes @ turn.T
             self._tips = trace.robot_tips @ turn.T + origin
+            if robot.palms is not None:  # the world as seen from a palm at rest
+                rest = np.concatenate([origin, poses.quaternions(turn)])
+                moved = poses.compose(rest, poses.invert(robot.palms))
+                self._views = poses.compose(moved, poses.invert(rest))
             wrist = turn @ trace.robot_wrist + origin
             cloud = np.concatenate([self._tips.reshape(-1, 3), [wrist]])
         self._data = mujoco.MjData(self._model)
@@ -139,9 +145,14 @@ class _Pane:
         mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data)
         scene = self._renderer.scene
+        position, forward, up = self._position, self._forward, self._up
+        if self._views is not None:
+            view = self._views[frame]
+            position = view[:3] + poses.rotate(view[3:], position)
+            forward, up = poses.rotate(view[3:], forward), poses.rotate(view[3:], up)
         for camera in scene.camera:  # a free camera of MuJoCo's has z upwards
-            camera.pos, camera.forward, camera.up = self._position, self._forward, self._up
-        scene.lights[0].pos, scene.lights[0].dir = self._position, self._forward
+            camera.pos, camera.forward, camera.up = position, forward, up
+        scene.lights[0].pos, scene.lights[0].dir = position, forward
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         if self._human is not None:

@@ -14,6 +14,7 @@ import numpy as np
 import viser
 from jaxtyping import Bool, Float
 
+from smooth_operator import poses
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
@@ -51,6 +52,7 @@ class Playback:
         drawn: the same hand on a model with meshes and the same joint names, in any order. The page
             then has a switch between meshes and simple shapes; None for simple shapes only.
         label: label above the robot; with several robots, it says how its motion was made.
+        palms: (T, 7) poses of the palm relative to that at rest, for commands of wrist joints.
 
     Raises:
         RecordingError: the run has no frames.
@@ -62,6 +64,7 @@ class Playback:
     trace: Trace
     drawn: Hand | None = None
     label: str = "robot"
+    palms: Float[np.ndarray, "T 7"] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.trace):
@@ -408,16 +411,24 @@ class Scene:
 
     def draw(self, frame: int) -> None:
         """Shows one frame of all hands."""
-        for run, robot in zip(self._runs, self.robots, strict=True):
+        roots = [*self.row.roots.values()][1:]
+        for run, robot, root, place in zip(
+            self._runs, self.robots, roots, self._places, strict=True
+        ):
             robot.draw(run.trace.joint_positions[frame])
+            if run.palms is not None:
+                root.position = place + run.palms[frame, :3]
+                root.wxyz = run.palms[frame, 3:]
         tips = [run.trace.robot_tips[frame] for run in self._runs]
         self.row.draw(self._runs[0].trace.human[frame], tips, self._pinches[frame])
 
     def set_overlay(self, overlay: bool) -> None:
         """Puts all hands in one place, or side by side."""
         shifts = (self._layout.human_shift, *self._layout.robot_shifts)
-        for root, shift in zip(self.row.roots.values(), shifts, strict=True):
-            root.position = np.zeros(3) if overlay else shift
+        places = [np.zeros(3) if overlay else shift for shift in shifts]
+        for root, place in zip(self.row.roots.values(), places, strict=True):
+            root.position = place
+        self._places = places[1:]
         for label in self.row.labels.values():
             label.visible = not overlay
         for robot in self.robots:
@@ -438,7 +449,15 @@ def _bounds(run: Playback, robot: RobotLooks) -> Float[np.ndarray, "N 3"]:
     """(N, 3) fingertips, and corners of the bodies at 16 frames, in the palm frame [m]."""
     frames = np.unique(np.linspace(0, len(run) - 1, 16).astype(int))
     corners = [robot.shown.corners(run.trace.joint_positions[frame]) for frame in frames]
-    return np.concatenate([run.trace.robot_tips.reshape(-1, 3), *corners])
+    tips = run.trace.robot_tips
+    if run.palms is not None:
+        corners = [_moved(run.palms[i], each) for i, each in zip(frames, corners, strict=True)]
+        tips = _moved(run.palms[:, None], tips)
+    return np.concatenate([tips.reshape(-1, 3), *corners])
+
+
+def _moved(pose: Float[np.ndarray, "*n 7"], points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
+    return np.asarray(poses.rotate(pose[..., 3:], points) + pose[..., :3])
 
 
 _PLAY, _PAUSE = "Play (Space)", "Pause (Space)"

@@ -11,6 +11,7 @@ import numpy as np
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.hands.wrist_joints import has_joints
 from smooth_operator.landmarks import BASES, FINGERS
 from smooth_operator.metrics import posture, safety
 from smooth_operator.retargeting.aligned_recording import align_recording
@@ -64,9 +65,10 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     log = read_log(path)
     if log.commands is None or log.loop is None or not len(log.commands):
         raise RecordingError(f"{path.name} contains no commands from a live run")
-    if log.commands.joint_names != hand.joint_names:
+    if not has_joints(hand, log.commands.joint_names):
         raise RecordingError(f"{path.name} was recorded with a different hand than {hand.name!r}")
-    times, q = log.loop.times, np.asarray(log.commands.joint_positions, float)
+    q = np.asarray(log.commands.joint_positions, float)[:, : len(hand.joint_names)]
+    times = log.loop.times
     answers = log.loop.answers
     modes, lasted = log.loop.modes, np.diff(times, append=times[-1:])  # until the next command [s]
 

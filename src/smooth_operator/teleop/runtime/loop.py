@@ -98,7 +98,7 @@ class TeleopLoop:
             SourceError, SinkError, OutputError, MissingExtraError: a part can't be opened; the open
                 ones are closed.
         """
-        hands = {side: pipeline.retargeter.hand for side, pipeline in self.pipelines.items()}
+        hands = {side: pipeline.hand for side, pipeline in self.pipelines.items()}
         self.sinks.open(hands, configuration)
         try:
             self.source.start(self.mailbox)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.io.anatomy import PALM_RANGE_M, Doubt, HandCheck
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.retargeting.program import RetargetState
@@ -26,6 +27,7 @@ from smooth_operator.teleop.runtime.statistics import TrackerDelay
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Arrival
 from smooth_operator.types import HandFrame, JointCommand, Result, Side, Status
+from smooth_operator.wrist_following import WristFollower
 
 if TYPE_CHECKING:
     from smooth_operator.teleop.arm.controller import ArmController
@@ -274,8 +276,10 @@ class HandPipeline:
         driver: names and settings of the method, for recordings.
         arm: controller of the arm that carries the hand; None without an arm.
         compiling: True if the method is not compiled yet: the robot holds until ``go_on``.
+        wrist_joints: True to command the wrist joints of the hand, if it has any.
 
     Attributes:
+        hand: the robot hand with the joints that are commanded.
         supervisor: mode and policies.
         limiter: limiter with the last command.
         clutch: clutch of the wrist.
@@ -291,6 +295,7 @@ class HandPipeline:
         driver: Driver | None = None,
         arm: ArmController | None = None,
         compiling: bool = False,
+        wrist_joints: bool = False,
     ) -> None:
         # Replaced as a whole and never changed: a page reads it while the loop switches.
         self._driven = Driven(retargeter, retargeter.init())
@@ -298,7 +303,9 @@ class HandPipeline:
         self.driver = driver
         self.config = config
         self.supervisor = Supervisor(config.safety)
-        self.limiter = Limiter(retargeter.hand, config.limits)
+        self.hand = with_wrist_joints(retargeter.hand) if wrist_joints else retargeter.hand
+        self._wrist = None if self.hand is retargeter.hand else WristFollower(retargeter.hand)
+        self.limiter = Limiter(self.hand, config.limits)
         self.clutch = Clutch(config)
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
@@ -468,7 +475,7 @@ class HandPipeline:
         if mode is not self._mode:
             events.append(f"{self._mode.value} -> {mode.value}")
         self._mode = mode
-        hand = self.retargeter.hand
+        hand = self.hand
         command = JointCommand(
             hand.full_configuration(q),
             hand.joint_names,
@@ -517,9 +524,17 @@ class HandPipeline:
             return
         if not self.supervisor.mode.moves:
             self._from = self.limiter.q
+        fingers = list(self.retargeter.hand.actuated)
+        self._target = result.command.joint_positions[fingers]
+        if self._wrist is not None:
+            if self.supervisor.starts_again or self.clutch.released:
+                self._wrist.release(self.limiter.q[len(fingers) :])
+            if not self.clutch.released:
+                frame = answer.arrival.frame
+                self._wrist.follow(frame.T_world_wrist, (answer.arrival.session, frame.world))
+            self._target = np.concatenate([self._target, self._wrist.target])
         self.supervisor.usable(now)
         self._driven = Driven(self.retargeter, answer.state)
-        self._target = result.command.joint_positions[list(self.retargeter.hand.actuated)]
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
         """Joint positions of the next command in this mode, within the limits."""
@@ -529,9 +544,7 @@ class HandPipeline:
             share = self.supervisor.blend(now)
             return self.limiter.step(self._from + share * (self._target - self._from), dt)
         if mode is Mode.EASING:
-            return self.limiter.step(
-                self.retargeter.hand.neutral, dt, self.config.safety.ease_velocity
-            )
+            return self.limiter.step(self.hand.neutral, dt, self.config.safety.ease_velocity)
         return self.limiter.rest(dt)
 
 

@@ -55,6 +55,7 @@ from smooth_operator.teleop.pages.scene import (
 )
 from smooth_operator.teleop.sources.webcam.camera import opencv
 from smooth_operator.types import Side
+from smooth_operator.wrist_following import palm_motion
 
 _SCALE: Final = 0.32  # scale of the room; the hands beside it have their own size
 _AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # direction from the arms to the viewer
@@ -471,6 +472,7 @@ class _SideView:
         self._points = self._hull()
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid, self._with_human = False, True
+        self._palm = _HERE  # relative to the palm at rest
         self.face(None, None)
         neutral = hand.full_configuration(hand.neutral)
         self.draw({"positions": neutral, "human": None, "latched": None, "targets": None})
@@ -496,6 +498,11 @@ class _SideView:
 
     def draw(self, state: Mapping[str, Any]) -> None:
         every, other = self._poses(state)
+        count = len(self._hand.joint_names)
+        if len(every) > count:
+            self._palm = palm_motion(self._hand, every[count:])
+            self._place()
+            every, other = every[:count], None if other is None else other[:count]
         self.robot.draw(every, other)
         latched = np.isin(self._hand.fingers[1:], state["latched"] or ())
         robot_tips = self._hand.tips(every)
@@ -504,11 +511,20 @@ class _SideView:
 
     def set_overlay(self, overlay: bool) -> None:
         self._overlaid = overlay
-        human, robot = self._places
-        self.row.roots["human"].position = robot if overlay else human
-        self.row.roots["robot"].position = robot
+        self._place()
         self.row.labels["human"].visible = self._with_human and not overlay
         self.robot.show(opacity=TRANSLUCENT if overlay else None)
+
+    def _place(self) -> None:
+        """Places both hands; the robot's wrist joints move its palm, but not the task."""
+        human, robot = (np.concatenate([place, self._turn]) for place in self._places)
+        robot = poses.compose(robot, self._palm)
+        human = robot if self._overlaid else human
+        for name, pose in (("human", human), ("robot", robot)):
+            root = self.row.roots[name]
+            root.position, root.wxyz = pose[:3], pose[3:]
+        if self._palm is not _HERE:
+            self.scenery.place(poses.invert(self._palm))
 
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
         """Landmarks of the human hand in the palm frame, as the method uses them; NaN if
@@ -539,8 +555,8 @@ class _SideView:
         rows = self._axes if axes is None else np.asarray(axes, float)
         turn, wxyz = _VIEW.T @ rows, np.empty(4)
         mujoco.mju_mat2Quat(wxyz, turn.ravel())
-        for root in self.row.roots.values():
-            root.wxyz = wxyz
+        self._turn = wxyz
+        self._place()
         end = self._hand.wrist - (FOREARM + _LABEL) * self._axes[1]
         points = np.concatenate([self._points, end[None]])
         if object_pose is not None:

@@ -1,0 +1,190 @@
+"""Commands for a robot hand's wrist joints from the operator's wrist.
+
+A tracker measures the palm's orientation, not the angles of the wrist. Seen from the palm, the
+direction of the forearm has two angles, flexion and deviation, and pronation, which turns forearm
+and palm together, does not change it. The wrist joints are set so that the robot's palm sees its
+forearm in the same direction. The operator's forearm is taken to point along the palm at the
+reference, the moment at which the operator takes over, and to stay there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.wrist_joints import with_wrist_joints
+from smooth_operator.simulation.arms.arm import hand_directions
+from smooth_operator.types import CommandTrajectory, HandRecording
+
+_DISTAL: Final = np.array([1.0, 0.0, 0.0])  # in the wrist frame of docs/reference/conventions.md
+_MOST_ALONG: Final = 0.9
+"""Largest cosine between the forearm and the axis of a wrist joint; a joint above it pronates."""
+
+
+class WristSolver:
+    """Angles of a hand's wrist joints at which its palm sees the forearm in a given direction.
+
+    Args:
+        hand: a robot hand with wrist joints.
+
+    Attributes:
+        neutral: (k,) neutral positions of the wrist joints [rad].
+        limits: (k, 2) their limits [rad].
+
+    Raises:
+        HandModelError: the wrist joints can't be commanded, or one of them turns about the forearm.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        whole, names = with_wrist_joints(hand), hand.spec.wrist_joints
+        k = len(names)
+        self.neutral, self.limits = whole.neutral[-k:], whole.limits[-k:]
+        data = mujoco.MjData(hand.model)
+        data.qpos[:] = whole.qpos(whole.full_configuration(whole.neutral))
+        mujoco.mj_kinematics(hand.model, data)
+        distal, _, palmar = hand_directions(hand)
+        wrist = np.stack([distal, np.cross(-palmar, distal), -palmar])
+        to_wrist = wrist @ data.body(hand.spec.palm).xmat.reshape(3, 3).T
+        self._axes = [to_wrist @ data.joint(name).xaxis for name in names]
+        for name, axis in zip(names, self._axes, strict=True):
+            if abs(axis[0]) > _MOST_ALONG:
+                raise HandModelError(
+                    f"hand {hand.name!r}: the wrist joint {name!r} turns about the forearm, but "
+                    "only joints that flex or deviate the wrist can follow the operator; leave it "
+                    "out of wrist_joints"
+                )
+
+    def angles(self, forearm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n k"]:
+        """Angles of the wrist joints from their neutral positions [rad].
+
+        With one joint the direction is met as closely as that joint allows; with two exactly,
+        by the second of the subproblems of Paden and Kahan (Murray, Li and Sastry, A Mathematical
+        Introduction to Robotic Manipulation, section 3.3).
+
+        Args:
+            forearm: (..., 3) unit vectors from elbow to wrist in the human's wrist frame; at 1 0 0
+                the angles are zero.
+        """
+        if len(self._axes) == 1:
+            return _turn(self._axes[0], forearm, _DISTAL)[..., None]
+        first, second = self._axes
+        between = np.cross(first, second)
+        s, size = first @ second, between @ between
+        along, across = np.full(forearm.shape[:-1], first[0]), forearm @ second
+        a, b = (along - s * across) / size, (across - s * along) / size
+        left = (1.0 - a * a - b * b - 2.0 * a * b * s) / size
+        c = np.copysign(np.sqrt(np.maximum(left, 0.0)), between[0])
+        met = a[..., None] * first + b[..., None] * second + c[..., None] * between
+        return np.stack([_turn(first, met, _DISTAL), _turn(second, forearm, met)], axis=-1)
+
+
+def _turn(
+    axis: Float[np.ndarray, "3"], a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n"]:
+    """Angle about a unit axis that turns a closest to b [rad]."""
+    sine = np.cross(a, b) @ axis
+    cosine = (a * b).sum(axis=-1) - (a @ axis) * (b @ axis)
+    return np.asarray(np.arctan2(sine, cosine))
+
+
+class WristFollower:
+    """Targets of a hand's wrist joints, from the poses of the operator's wrist.
+
+    The reference is taken at the first pose and again after ``release``: there, the target is where
+    the joints are, so that nothing jumps.
+
+    Args:
+        hand: a robot hand with wrist joints.
+
+    Attributes:
+        solver: solver for the hand's wrist joints.
+        target: (k,) last target [rad].
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self.solver = WristSolver(hand)
+        self.target: Float[np.ndarray, " k"] = self.solver.neutral
+        self._forearm: Float[np.ndarray, "3"] | None = None  # in the tracker's world
+        self._start = self.target
+        self._world: object = None
+
+    def release(self, positions: Float[np.ndarray, " k"]) -> None:
+        """Forget the reference, and hold the joints at their positions [rad]."""
+        self.target, self._forearm = positions, None
+
+    def follow(self, wrist: Float[np.ndarray, "7"] | None, world: object = None) -> None:
+        """Set the target from a pose of the wrist; a pose that is not valid changes nothing.
+
+        Args:
+            wrist: pose of the human wrist; None if the tracker does not measure it.
+            world: identity of the frame of the pose; another one takes a new reference.
+        """
+        if wrist is None or not poses.is_valid(wrist):
+            return
+        if self._forearm is None or world != self._world:
+            self._forearm, self._start = poses.rotate(wrist[3:], _DISTAL), self.target
+            self._world = world
+        seen = poses.rotate(poses.conjugate(wrist[3:]), self._forearm)
+        wanted = self._start + self.solver.angles(seen)
+        self.target = np.clip(wanted, *self.solver.limits.T)
+
+
+def palm_motion(hand: Hand, positions: Float[np.ndarray, "*n k"]) -> Float[np.ndarray, "*n 7"]:
+    """Poses of the palm relative to its pose with the wrist joints at rest.
+
+    Args:
+        positions: (..., k) positions of the wrist joints [rad].
+    """
+    joints = [hand.model.joint(name) for name in hand.spec.wrist_joints]
+    data = mujoco.MjData(hand.model)
+    palm, found = data.body(hand.spec.palm), []
+    for row in [[joint.qpos0[0] for joint in joints], *np.reshape(positions, (-1, len(joints)))]:
+        for joint, position in zip(joints, row, strict=True):
+            data.qpos[joint.qposadr] = position
+        mujoco.mj_kinematics(hand.model, data)
+        found.append(np.concatenate([palm.xpos, palm.xquat]))
+    moved = poses.relative(found[0], np.array(found[1:]))
+    return moved.reshape(*np.shape(positions)[:-1], 7)
+
+
+def add_wrist_commands(
+    commands: CommandTrajectory, recording: HandRecording, hand: Hand
+) -> CommandTrajectory:
+    """Adds the wrist joints of a hand to the commands of its fingers.
+
+    The first valid wrist of the recording is the reference, at the neutral positions; a frame
+    without a valid wrist repeats the last position. The limits of velocity and acceleration are for
+    a live run and do not apply here.
+
+    Args:
+        commands: commands of the fingers for the frames of the recording.
+        recording: the human hand.
+        hand: the robot hand.
+
+    Returns:
+        the commands with the wrist joints last; those of a hand without wrist joints are returned
+        as they are.
+    """
+    if not hand.spec.wrist_joints:
+        return commands
+    follower = WristFollower(hand)
+    positions = []
+    for i in range(len(commands)):
+        wrists = recording.T_world_wrist
+        follower.follow(None if wrists is None else wrists[i])
+        positions.append(follower.target)
+    k = len(hand.spec.wrist_joints)
+    return replace(
+        commands,
+        joint_names=(*commands.joint_names, *hand.spec.wrist_joints),
+        joint_positions=np.concatenate(
+            [commands.joint_positions, np.reshape(positions, (-1, k))], axis=1
+        ),
+    )

@@ -1,0 +1,269 @@
+"""Joints between forearm and palm: their angles, limits and reference, and their names in files."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import viser
+
+from smooth_operator import Hand, HandFrame, HandSpec, Retargeter, load_hand, poses, read_commands
+from smooth_operator.datasets.request import DatasetRequest
+from smooth_operator.datasets.retargeting import Recipe, retarget_clips
+from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
+from smooth_operator.datasets.writers.registry import WritingOptions
+from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.formats.clip import Clip
+from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.hands.wrist_joints import with_wrist_joints
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
+from smooth_operator.simulation.arms.arm import hand_directions
+from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop import TeleopRequest, teleoperate
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.types import HandRecording
+from smooth_operator.wrist_following import WristFollower, palm_motion
+
+PERIOD = 0.01
+LIMITS = LimitsConfig(velocity=2.0, acceleration=40.0)
+REFERENCE = poses.from_rotation_vectors(np.array([0.4, -0.7, 1.1]))  # any orientation in the room
+
+
+def pose(turn: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0.1, 0.2, 0.3], turn])
+
+
+def human_turn(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(4,) rotation of a human wrist, from its own frame at the reference, that bends it as the
+    joints bend the robot's."""
+    distal, _, palmar = hand_directions(hand)
+    axes = np.stack([distal, np.cross(-palmar, distal), -palmar])
+    turned = poses.rotation_matrices(palm_motion(hand, q)[3:])
+    return poses.quaternions(axes @ turned @ axes.T)
+
+
+def follow(hand: Hand, *turns: np.ndarray) -> np.ndarray:
+    follower = WristFollower(hand)
+    for turn in (np.array([1.0, 0, 0, 0]), *turns):
+        follower.follow(pose(poses.multiply(REFERENCE, turn)))
+    return follower.target
+
+
+@pytest.mark.parametrize(
+    ("name", "side"), [("shadow_hand", "right"), ("shadow_hand", "left"), ("orca_v1", "left")]
+)
+def test_the_joints_bend_as_the_human_wrist_does_however_the_forearm_turns(name, side):
+    hand = load_hand(name, side)
+    limits = with_wrist_joints(hand).limits[-len(hand.spec.wrist_joints) :]
+    for q in np.random.default_rng(0).uniform(*limits.T, (8, len(limits))):
+        turn = human_turn(hand, q)
+        np.testing.assert_allclose(follow(hand, turn), q, atol=1e-9)
+        pronated = poses.multiply(poses.from_rotation_vectors(np.array([1.3, 0, 0])), turn)
+        np.testing.assert_allclose(follow(hand, pronated), q, atol=1e-9)
+
+
+def test_a_palm_that_bends_down_and_to_the_thumb_flexes_and_deviates():
+    # The wrist frame of docs/reference/conventions.md: y to the left, z out of the back of the hand
+    down, left = (poses.from_rotation_vectors(0.1 * axis) for axis in np.eye(3)[1:])
+    right, other = load_hand("shadow_hand", "right"), load_hand("shadow_hand", "left")
+    np.testing.assert_allclose(follow(right, down), [0.0, 0.1], atol=0.01)
+    np.testing.assert_allclose(follow(right, left), [0.1, 0.0], atol=0.01)
+    np.testing.assert_allclose(follow(other, down), [0.0, 0.1], atol=0.01)
+    np.testing.assert_allclose(follow(other, left), [-0.1, 0.0], atol=0.01)
+    # ORCA's hinge lies across the palm, so deviation alone does not move it.
+    (flexed,) = follow(load_hand("orca_v2", "left"), down)
+    (deviated,) = follow(load_hand("orca_v2", "left"), left)
+    assert flexed == pytest.approx(0.1, abs=0.01)
+    assert abs(deviated) < 0.01
+
+
+def test_a_human_wrist_that_bends_further_stops_at_the_limit():
+    hand = load_hand("shadow_hand")
+    low = with_wrist_joints(hand).limits[-2:, 0]
+    np.testing.assert_array_equal(follow(hand, human_turn(hand, low - 0.3)), low)
+
+
+def test_the_wrist_joints_are_those_between_forearm_and_palm(tmp_path):
+    hand = load_hand("shadow_hand")
+    whole = with_wrist_joints(hand)
+    assert whole.joint_names == (*hand.joint_names, "rh_WRJ2", "rh_WRJ1")
+    assert whole.actuated_names == (*hand.actuated_names, "rh_WRJ2", "rh_WRJ1")
+    np.testing.assert_allclose(whole.limits[-2:], [[-0.5236, 0.1745], [-0.6981, 0.4887]], atol=1e-4)
+    q = whole.neutral
+    np.testing.assert_array_equal(whole.landmark_positions(q), hand.landmark_positions(q[:-2]))
+    mimic = load_hand("mimic_p050")
+    assert with_wrist_joints(mimic) is mimic
+    write_hand_spec(hand.spec, tmp_path / "hand.toml")
+    assert read_hand_spec(tmp_path / "hand.toml").wrist_joints == ("rh_WRJ2", "rh_WRJ1")
+
+    def described(*names: str) -> HandSpec:
+        return replace(hand.spec, wrist_joints=names)
+
+    for wrong in (("rh_WRJ1", "rh_WRJ2"), ("rh_FFJ4",), ("rh_WRJ2", "rh_WRJ1", "rh_FFJ4")):
+        with pytest.raises(HandModelError, match=r"the model has \['rh_WRJ2', 'rh_WRJ1'\] above"):
+            with_wrist_joints(load_hand_spec(described(*wrong)))
+    with pytest.raises(UnknownNameError, match="rh_WRJ3"):
+        load_hand_spec(described("rh_WRJ3"))
+
+
+@pytest.fixture(scope="module")
+def shadow() -> Retargeter:
+    built = Retargeter("shadow_hand", method="joint_angle")  # the quickest to compile
+    built.warm_up()
+    return built
+
+
+class Run:
+    """A pipeline, its time, and all that it commanded."""
+
+    def __init__(self, retargeter: Retargeter, wrist_joints: bool = True) -> None:
+        config = LoopConfig(rate=1 / PERIOD, limits=LIMITS)
+        self.pipeline = HandPipeline(
+            retargeter, config, clock=lambda: self.time, wrist_joints=wrist_joints
+        )
+        self.time, self.ticks = 0.0, list[Tick]()
+
+    def frames(self, count: int, turn: np.ndarray | None) -> np.ndarray:
+        """(2,) the last command of the wrist, after frames with a rotation of the wrist."""
+        place = None if turn is None else pose(poses.multiply(REFERENCE, turn))
+        for _ in range(count):
+            self.time += PERIOD
+            frame = HandFrame(FLAT_HAND, self.time, T_world_wrist=place, world="room")
+            self.ticks.append(self.pipeline.step(self.time, Arrival(frame, self.time, 0)))
+        return self.ticks[-1].command.joint_positions[-2:]
+
+    @property
+    def commands(self) -> np.ndarray:
+        return np.array([tick.command.joint_positions for tick in self.ticks])
+
+
+STRAIGHT = np.array([1.0, 0, 0, 0])
+
+
+def test_a_live_hand_follows_holds_and_takes_a_new_reference(shadow):
+    hand, run = shadow.hand, Run(shadow)
+    bent, other = np.array([-0.3, 0.2]), np.array([0.1, -0.1])
+    run.frames(20, STRAIGHT)
+    np.testing.assert_allclose(run.frames(150, human_turn(hand, bent)), bent, atol=1e-6)
+    np.testing.assert_allclose(run.frames(20, None), bent, atol=1e-6)  # the wrist is lost
+    np.testing.assert_allclose(run.frames(20, np.full(4, np.nan)), bent, atol=1e-6)
+    # Found again, it has the same reference: the tracker knows its room.
+    np.testing.assert_allclose(run.frames(150, human_turn(hand, other)), other, atol=1e-6)
+    run.pipeline.supervisor.pause()
+    np.testing.assert_allclose(run.frames(20, human_turn(hand, bent)), other, atol=1e-6)
+    run.pipeline.supervisor.resume()
+    np.testing.assert_allclose(run.frames(60, human_turn(hand, bent)), other, atol=1e-6)
+    back = run.frames(150, STRAIGHT)  # from its new reference
+    assert np.abs(back - other).max() > 0.1
+    run.pipeline.clutch.follow(False)
+    run.frames(30, STRAIGHT)
+    np.testing.assert_allclose(run.frames(60, human_turn(hand, bent)), back, atol=0.02)
+    q = run.commands
+    assert run.ticks[-1].command.joint_names == with_wrist_joints(hand).joint_names
+    assert np.abs(np.diff(q, axis=0)).max() <= LIMITS.velocity * PERIOD * (1 + 1e-9)
+    assert np.abs(np.diff(q, n=2, axis=0)).max() <= LIMITS.acceleration * PERIOD**2 * (1 + 1e-9)
+
+
+def test_without_its_wrist_joints_a_hand_gets_the_same_commands(shadow):
+    on, off = Run(shadow), Run(shadow, wrist_joints=False)
+    for run in (on, off):
+        run.frames(40, STRAIGHT)
+        run.frames(20, human_turn(shadow.hand, np.array([-0.2, 0.3])))
+    assert off.ticks[-1].command.joint_names == shadow.hand.joint_names
+    assert off.pipeline.hand is shadow.hand
+    fingers = list(shadow.hand.actuated)
+    np.testing.assert_array_equal(on.commands[:, fingers], off.commands[:, fingers])
+    assert on.ticks[-1].mode is off.ticks[-1].mode is Mode.TRACKING
+
+
+def test_a_simulated_hand_moves_its_palm():
+    whole = with_wrist_joints(load_hand("orca_v1"))
+    physics = HandPhysics(whole)
+    q = whole.neutral.copy()
+    q[-1] = 0.5
+    physics.command(whole.full_configuration(q))
+    physics.advance(1.0)
+    assert physics.positions[-1] == pytest.approx(0.5, abs=0.01)
+    turn = np.empty(3)
+    mujoco.mju_quat2Vel(turn, physics.data.body("palm").xquat, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(turn), 0.5, atol=0.01)
+
+
+def recording(hand: Hand, q: np.ndarray) -> HandRecording:
+    """The synthetic operator, with a wrist that bends as the joints do at (T, k) positions."""
+    fingers = SyntheticOperator(seed=1, side=hand.spec.side).record(len(q) / 100)
+    turns = [poses.multiply(REFERENCE, human_turn(hand, row)) for row in q]
+    wrists = np.array([pose(turn) for turn in turns])
+    wrists[4:6] = np.nan
+    return replace(fingers, T_world_wrist=wrists, world="room")
+
+
+def test_retarget_writes_the_wrist_and_metrics_leave_it_out(run, tmp_path, shadow):
+    q = np.outer(np.linspace(0.0, 1.0, 10), [-0.2, 0.3])
+    made = recording(shadow.hand, q)
+    np.savez(
+        tmp_path / "in.npz",
+        landmarks=made.landmarks,
+        timestamps=made.stamps,
+        side=made.side,
+        T_world_wrist=made.T_world_wrist,
+    )
+    command = ("retarget", tmp_path / "in.npz", "--hand", "shadow_hand", "--method", "joint_angle")
+    assert run(*command, "--output", tmp_path / "on.npz")[0] == 0
+    assert run(*command, "--output", tmp_path / "off.npz", "--wrist-joints", "off")[0] == 0
+    on, off = read_commands(tmp_path / "on.npz"), read_commands(tmp_path / "off.npz")
+    assert on.joint_names == (*off.joint_names, "rh_WRJ2", "rh_WRJ1")
+    np.testing.assert_array_equal(on.joint_positions[:, :-2], off.joint_positions)
+    held = q.copy()
+    held[4:6] = q[3]
+    np.testing.assert_allclose(on.joint_positions[:, -2:], held, atol=1e-6)
+    trace = assemble_trace(made, on, shadow.hand, reach_samples=0)
+    np.testing.assert_array_equal(trace.joint_positions, off.joint_positions)
+
+
+def test_the_live_page_turns_the_palm_with_the_wrist():
+    hand = load_hand("orca_v1")
+    positions = with_wrist_joints(hand).full_configuration(with_wrist_joints(hand).neutral)
+    state = {"positions": positions, "human": None, "latched": None, "targets": None}
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    try:
+        scene = LiveScene(server, {"right": hand}, simulated=False)
+        (view,) = scene._sides.values()
+        scene.draw({"right": state})
+        root, still = view.row.roots["robot"], view.row.roots["human"].wxyz
+        np.testing.assert_allclose(root.wxyz, still, atol=1e-9)
+        positions[-1] = 0.5
+        scene.draw({"right": state})
+        turned = poses.multiply(poses.conjugate(np.asarray(still)), np.asarray(root.wxyz))
+        np.testing.assert_allclose(poses.rotation_vectors(turned), [0.5, 0.0, 0.0], atol=1e-9)
+    finally:
+        server.stop()
+
+
+def test_a_data_set_has_the_wrist_joints_only_if_they_are_asked_for(shadow, tmp_path):
+    clip = Clip("take", {"right": recording(shadow.hand, np.full((10, 2), 0.1))}, "files")
+    request = DatasetRequest(
+        sources=("x",), output=tmp_path, hand="shadow_hand", method="joint_angle"
+    )
+    for choice, more in (("auto", ()), ("on", ("rh_WRJ2", "rh_WRJ1"))):
+        (result,) = retarget_clips([clip], Recipe.of(replace(request, wrist_joints=choice)))
+        names = RobotLayout.of(result, WritingOptions(), 100.0).layout()["action"]
+        joints = [name for name in names if name.startswith("right_rh_")]
+        assert len(joints) == len(shadow.hand.joint_names) + len(more)
+        assert [f"right_{name}.pos" in joints for name in ("rh_WRJ2", "rh_WRJ1")] == [
+            bool(more)
+        ] * 2
+
+
+def test_wrist_joints_and_an_arm_do_not_both_follow_the_wrist():
+    request = TeleopRequest(hand="shadow_hand", arm="panda", wrist_joints="on")
+    with pytest.raises(ConfigError, match="--wrist-joints on can't be used with --arm"):
+        teleoperate(request)
