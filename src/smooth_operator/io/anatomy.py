@@ -1,10 +1,9 @@
 """Checks the size, order and side of landmarks by their shape.
 
-Order: the distances between neighbouring landmarks hardly depend on the pose. Their ratios are
-compared with those of a human hand for every order of the fingers and for the layouts of other
-trackers and datasets (``LAYOUTS``). Points that match no order are not a hand. Side: fingers bend
-to the palm, the thumb's base is in front of it, and the knuckles arch away from it; a mirror image
-has the opposite properties. ``smooth_operator_research.judging.input_check`` measures both.
+Order: ratios of the distances between neighbouring landmarks are compared with those of a human
+hand for every order of the fingers and for the layouts of other trackers (``LAYOUTS``). Side:
+fingers bend to the palm, the thumb's base is in front of it, and the knuckles arch away from it.
+``smooth_operator_research.judging.input_check`` measures both.
 """
 
 from __future__ import annotations
@@ -22,50 +21,34 @@ from smooth_operator.landmarks import BASES, FINGERS, LAYOUTS, NUM_LANDMARKS, WR
 from smooth_operator.types import Side
 
 PALM_RANGE_M: Final = (0.05, 0.14)
-"""Bounds [m] on the distance from the wrist to the middle finger's MCP.
-
-It is near 0.095 m for adults. The bounds leave room for children and for trackers with a slightly
-misplaced wrist, and exclude hands in millimetres, centimetres, decimetres, inches or feet.
-"""
+"""Bounds [m] on the distance from the wrist to the middle finger's MCP; adults have 0.095. They
+include children, and exclude hands in millimetres, centimetres, decimetres, inches or feet."""
 
 FEWEST_FRAMES: Final = 5
 """Smallest number of complete frames for a judgement."""
 
 MISFIT: Final = 0.25
 """A layout is refused if another layout fits better by this much, in mean deviations of a length.
-
-Over five frames, recordings in the right order reach at most 0.05, even with 4 mm of noise; the
-named layouts reach at least 0.35.
-"""
+Over five frames with 4 mm of noise, the right order reaches at most 0.05, others at least 0.35."""
 
 MIRRORED: Final = -0.25
-"""A side is refused if its mean chirality is below this value.
-
-Over five frames with 6 mm of noise, correct sides reach at least -0.15 and mirrored sides at most
--0.35, except for flat hands of trackers whose palm is a plane.
-"""
+"""A side is refused if its mean chirality is below this value. Over five frames with 6 mm of noise,
+correct sides reach at least -0.15, mirrored ones at most -0.35, unless the palm is a plane."""
 
 BENT: Final = 0.2
 """Mean sine of the fingers' bends above which they determine the side."""
 
 CLEAR: Final = 0.6
-"""Chirality above which straight fingers also determine the side.
-
-Depth cameras measure the thumb of a flat hand up to 0.2 palms behind the palm, which gives
-a chirality of -0.4 on average and -0.55 at worst. Of 17,600 frames of ten recordings of other
-trackers, none is mistaken for the other hand; with noise of 8 mm it is at most 0.13 %.
-"""
+"""Chirality above which straight fingers also determine the side. Depth cameras measure the thumb
+of a flat hand behind the palm, which gives -0.55 at worst."""
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _IN_FRONT: Final = np.array([1.0, 1.0, -1.0, -1.0])
 """Landmarks in front of the palm's plane (thumb CMC, MCP) and behind it (middle and ring MCP)."""
 
 NO_HAND: Final = 1.0
-"""Largest mean deviation of the lengths of a hand in the declared order.
-
-Over five frames, recordings have at most 0.6, even with 4 mm of noise, and the built-in robot hands
-at most 0.8; random orders of 21 points have at least 1.1.
-"""
+"""Largest mean deviation of the lengths of a hand in the declared order. Over five frames,
+recordings have at most 0.6, robot hands 0.8; random orders have at least 1.1."""
 
 NO_HAND_FRAME: Final = 1.5
 """Largest mean deviation of the lengths in one frame. Frames with 8 mm of noise are below it."""
@@ -164,10 +147,8 @@ OF_A_PICTURE: Final = Doubt(
 
 
 def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """True if the ratios of bone lengths stay constant from one section of frames to the next.
-
-    Sections with fewer than five complete frames are not judged, because of noise.
-    """
+    """True if the ratios of bone lengths stay constant from one section of frames to the next; also
+    for too few frames."""
     if len(landmarks) < FEWEST_FRAMES * _STRETCHES:
         return True
     bones = np.linalg.norm(np.diff(landmarks[:, _PAIRS[:20]], axis=2)[:, :, 0], axis=-1)
@@ -188,10 +169,8 @@ def of_the_other(side: Side) -> Doubt:
 
 
 def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
-    """Side of each frame, computed from its shape: 1 right, -1 left, 0 unknown.
-
-    Bent fingers determine the side. Straight fingers determine it only if thumb and knuckles stand
-    out clearly, because trackers disagree about the palm of a flat hand. NaN has no effect.
+    """Side of each frame, computed from its shape: 1 right, -1 left, 0 unknown. Straight fingers
+    determine it only if thumb and knuckles stand out clearly. NaN has no effect.
 
     Args:
         landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
@@ -224,10 +203,9 @@ class HandCheck:
     """Check of side and order for frames that arrive one at a time.
 
     The order is judged over the first frames together, and again later if it was wrong. The side is
-    judged in every frame from its visible landmarks: a frame that is clearly of the other hand is
-    refused at once. After two such frames, frames with an unknown side are also refused for
-    ``MEMORY_S``, until a frame is clearly of the right side. Therefore the other hand never moves
-    the robot, and the right hand is accepted again at once, or after ``MEMORY_S`` if it is flat.
+    judged in every frame: a frame that is clearly of the other hand is refused at once. After two
+    such frames, frames with an unknown side are also refused for ``MEMORY_S``, until a frame is
+    clearly of the right side.
 
     Args:
         side: declared side of the hand.

@@ -1,14 +1,13 @@
 """Correspondence of human and robot fingers: computes the fingertip targets of the robot.
 
-Aligning the palms is not enough: wrists and knuckles of the two hands are centimetres apart, and a
-robot's fingers are up to twice as long as a human's. Therefore each fingertip target is placed
-relative to the robot's own knuckle, at the same distance as the human's fingertip from the human
-knuckle, in units of finger length. When thumb and finger approach each other, their targets move
-together until the vector between them equals the human's. The lengths of the human's fingers are
-measured in each frame, because trackers stretch bones.
+Each fingertip target is placed relative to the robot's own knuckle, at the same distance as the
+human's fingertip from the human knuckle, in units of finger length, because a robot's fingers are
+up to twice as long. When thumb and finger approach each other, their targets move together until
+the vector between them equals the human's. The lengths of the human's fingers are measured in each
+frame, because trackers stretch bones.
 
-A gripper has one degree of freedom, its opening. It is open when the human's thumb and index finger
-are the length of the index finger apart, and closed when they touch.
+A gripper is open when the human's thumb and index finger are the length of the index finger apart,
+and closed when they touch.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class CorrespondenceConfig:
         thumb_share: weight of a nearby finger in the thumb's target; that of the thumb is 1.
         thumb_follows: weight of a finger at any distance, to keep the thumb on the human's side.
         catch_up: margin by which the speed of a fingertip target may exceed the human's step times
-            the finger's gain, because finger lengths and pinches also move targets [m/s].
+            the finger's gain [m/s].
     """
 
     share: float = 1.0
@@ -118,9 +117,7 @@ class Correspondence:
         """Base positions (straight pose) and lengths of the robot's fingers [m].
 
         The length of a long finger is measured when it is straight. A thumb is hardly ever
-        straight, and many robot thumbs do not begin at their base landmark, so its length is the
-        sum of its bones, averaged over random poses. With these lengths, an operator who has the
-        robot's own landmarks is followed exactly.
+        straight, so its length is the sum of its bones, averaged over random poses.
         """
         straight = self.hand.straight_pose
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
@@ -208,11 +205,9 @@ class Correspondence:
     def _jaw_places(
         self, operator: CorrespondenceState, tips: Float[Array, "2 3"]
     ) -> tuple[Float[Array, "2 3"], Float[Array, " 2"]]:
-        """Returns the targets of a gripper's tips, and the gains of its opening.
-
-        With the human's distance of thumb and index finger d and the length l of the index finger,
-        the opening is w_min + (w_max - w_min) (d - press) / (l - press), within w_min and w_max.
-        """
+        """Targets of a gripper's tips, and gains of its opening: with the human's distance d of
+        thumb and index finger and the length l of the index finger, the opening is
+        w_min + (w_max - w_min) (d - press) / (l - press), within w_min and w_max."""
         openings, path = (jnp.asarray(part, tips.dtype) for part in self._jaws)
         human = tips[1] - tips[0]
         apart = jnp.sqrt((human * human).sum() + _TINY)
@@ -240,9 +235,8 @@ class Correspondence:
 
         where s_i falls from 1 to 0 between 12 and 24 mm.
 
-        A tracker reports touching fingertips a few millimetres apart, and the robot's pads are not
-        as thick as the human's. Without ``press``, the robot's fingertips would not touch. Fingers
-        around a handle are not pressed further, because a harder press turns the handle.
+        Without ``press``, the robot's fingertips would not touch, because trackers report touching
+        fingertips some millimetres apart. Fingers around a handle are not pressed further.
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self.robot)

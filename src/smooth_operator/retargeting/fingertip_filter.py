@@ -1,14 +1,10 @@
 """Fingertip filter: removes shake at rest and adds no delay to motion.
 
-Tracked points shake even if the hand is at rest. Low-pass filters reduce this shake at the cost of
-delay. This filter reduces the *step* of a point instead: while a point stays within a few shake
-amplitudes of the filtered point, only a fraction of its step is followed at once and the rest
-within seconds. The fraction grows with the distance, up to the whole step. Slow and fast motions
-therefore begin without delay, a few shake amplitudes behind the human's, and catch up.
-
-The amplitude of the shake is measured during use: it is the deviation of points from steady motion
-over some hundredths of a second, in the quietest quarter of the time. This measure does not depend
-on the frame rate. Steps that are too long for a hand are followed only in part.
+While a point stays within a few shake amplitudes of the filtered point, only a fraction of its
+*step* is followed at once and the rest within seconds. The fraction grows with the distance, up to
+the whole step, so motion begins without delay. The amplitude of the shake is measured during use:
+it is the deviation of points from steady motion over some hundredths of a second, in the quietest
+quarter of the time. Steps that are too long for a hand are followed only in part.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Method(ABC):
 
     uneven: ClassVar[bool] = False
     """True if the solver takes much longer for some frames than for others. On a CPU, each
-    recording then runs in its own thread, because batches wait for the slowest."""
+    recording of a batch then runs in its own thread."""
 
     @property
     @abstractmethod
@@ -95,8 +95,8 @@ class Method(ABC):
 
     @property
     def constants(self) -> Any:
-        """Pytree of arrays that the program contains besides parameters of the hand and settings,
-        such as weights from a file; None if it has no such arrays, or they are unknown."""
+        """Pytree of further arrays in the program, such as weights from a file; None if it has
+        none, or they are unknown."""
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
@@ -105,14 +105,13 @@ class Method(ABC):
         return None
 
     def pinch_gaps(self, state: Any) -> Float[Array, " P"] | None:
-        """(F - 1,) estimated gaps that the tracker leaves between thumb and finger where they touch
-        [palm lengths], 0 while unknown; None for a method that does not close gaps."""
+        """(F - 1,) estimated gaps of touching thumb and finger [palm lengths], 0 while unknown;
+        None for a method that does not close gaps."""
         del state
         return None
 
     def with_pinch_gaps(self, state: Any, known: Mapping[str, float] | None) -> Any:
-        """Returns a state with known pinch gaps, for methods that close them. The gaps map fingers
-        to palm lengths; None disables the closing of gaps."""
+        """Returns a state with known pinch gaps, by finger [palm lengths]; None closes no gaps."""
         del known
         return state
 
@@ -122,15 +121,13 @@ class Method(ABC):
         return fresh
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
-        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None before the first
-        frame, and for methods without fingertip targets."""
+        """(F, 3) fingertip targets of the last frame in the palm frame [m], if there are any."""
         del state
         return None
 
     @property
     def trajectory_objective(self) -> Objective | None:
-        """Cost of each frame in trajectory optimisation over a whole recording; None for methods
-        without a differentiable objective."""
+        """Cost of each frame in trajectory optimisation; None without one with derivatives."""
         return None
 
 
@@ -175,10 +172,7 @@ class MethodConfig(ABC):
         return None
 
     def without_pull(self: C) -> C:
-        """These settings with almost no pull to the neutral pose, to test a hand or a solver.
-
-        A small pull remains, to decide between equally good joint positions.
-        """
+        """These settings with almost no pull to the neutral pose, to test a hand or a solver."""
         return self
 
     def notes(self, hand: Hand) -> tuple[str, ...]:

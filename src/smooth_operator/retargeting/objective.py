@@ -1,14 +1,9 @@
-"""The objective of a frame: its terms, which are costs on points and joints of the robot, and their
-sum.
+"""The objective of a frame: the sum of its terms, costs on points and joints of the robot.
 
-To write your own term, define a frozen dataclass with its settings. ``LeastSquaresTerm``
-(``least_squares.py``) needs only residuals; ``VectorTerm`` is for costs on keyvectors,
-``JointTerm`` for costs on joint positions, and ``PointTerm`` computes gradient and Gauss-Newton
-rows itself. ``ObjectiveConfig(terms=(MyTerm(),))`` adds a term to a preset. The terms of Eq. (1)
-are here, those of ``smooth`` in ``smooth_terms.py``.
-
-``Objective.value_grad_hess`` gives cost, gradient and Hessian of one pose for Newton steps, as a
-small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler.
+To write your own term, define a frozen dataclass with its settings, derived from
+``LeastSquaresTerm`` (only residuals), ``VectorTerm`` (keyvectors), ``JointTerm`` (joint positions)
+or ``PointTerm`` (gradient and Gauss-Newton rows). ``ObjectiveConfig(terms=(MyTerm(),))`` adds it to
+a preset. The terms of Eq. (1) are here, those of ``smooth`` in ``smooth_terms.py``.
 """
 
 from __future__ import annotations
@@ -76,10 +71,8 @@ class FrameGoal(NamedTuple):
 
 
 class Quadratic(NamedTuple):
-    """Local model of a term near one pose.
-
-    The objective makes the Hessian of the rows, rows^T weights rows, and adds the curvature of the
-    kinematics along the gradient.
+    """Local model of a term near one pose; its Hessian is rows^T weights rows and the curvature of
+    the kinematics along the gradient.
 
     Attributes:
         cost: cost at the pose.
@@ -128,21 +121,17 @@ class PointTerm(Term, ABC):
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """Cost, gradient and Gauss-Newton rows at one pose; traceable.
-
-        Args:
-            points: (P, 3) the term's points [m].
-            jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
-        """
+        """Cost, gradient and Gauss-Newton rows at (P, 3) points [m] with (P, J, 3) derivatives by
+        the J joints [m/rad]; traceable."""
 
 
 class JointCost(NamedTuple):
     """A cost on joints at given poses, with its derivatives.
 
     Attributes:
-        cost: (...) a sum over the joints.
+        cost: (...) sum over the joints.
         slope: (..., m) first derivative.
-        curvature: (..., m) diagonal of the second derivative, or the one number on it.
+        curvature: (..., m) diagonal of the second derivative, or one number for all joints.
     """
 
     cost: Any
@@ -259,7 +248,7 @@ class VectorTerm(PointTerm):
 
     @abstractmethod
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
-        """The cost of the errors of ``part`` [m], with derivatives; traceable."""
+        """Cost of the errors of ``part`` [m], with derivatives; traceable."""
 
     def points(self) -> tuple[str, ...]:
         """Landmarks at the ends of the vectors that a joint moves."""
@@ -267,11 +256,7 @@ class VectorTerm(PointTerm):
 
     @cached_property
     def which(self) -> slice:
-        """The vectors of ``part``.
-
-        Raises:
-            ConfigError: if ``part`` needs the paper's keyvectors, but the vectors are different.
-        """
+        """The vectors of ``part``; ConfigError if they are not the paper's keyvectors."""
         if self.part == "all":
             return slice(None)
         layout = self.vectors.layout
@@ -295,8 +280,7 @@ class VectorTerm(PointTerm):
 
 @dataclass(frozen=True, eq=False)
 class Keyvectors(VectorTerm):
-    """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H), with smooth-L1 of each component
-    for the penalty l.
+    """First term of Eq. (1): sum over k of lambda_k smooth-L1(v_R - v_H), by components.
 
     Attributes:
         transition: error at which smooth-L1 changes from quadratic to linear [m].
@@ -305,7 +289,7 @@ class Keyvectors(VectorTerm):
     transition: float
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """Cost lambda_k l(v_R - v_H) of one vector; the error is given by three components [m]."""
+        """Cost of one vector, from the three components of its error [m]."""
         parts = [smooth_l1(e, self.transition) for e in error]
         return weight * (parts[0] + parts[1] + parts[2])
 
@@ -375,11 +359,7 @@ class Objective:
 
     @cached_property
     def layout(self) -> VectorLayout:
-        """Vectors that the target policy uses; usually the keyvectors of the hand.
-
-        Raises:
-            ConfigError: the hand lacks a point that a vector needs.
-        """
+        """Vectors that the target policy uses; ConfigError if the hand lacks one's points."""
         layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
         keypoints = self.hand.tree.keypoints
         lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in keypoints]
@@ -391,8 +371,6 @@ class Objective:
                 "method"
             )
         return layout
-
-    # The terms
 
     @cached_property
     def keyvectors(self) -> Keyvectors:
@@ -417,15 +395,9 @@ class Objective:
         return tuple(term for term in terms if not term.is_off)
 
     def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
-        """Terms on joint positions: the last two of Eq. (1), and those of a preset.
-
-        Args:
-            q: (..., m) actuated joint positions [rad]; NumPy or JAX.
-        """
+        """Sum of the terms on joints at (..., m) actuated joint positions [rad]; NumPy or JAX."""
         every = zip(*(term.expand(q, goal) for term in self.joint_terms), strict=True)
         return JointCost(*(functools.reduce(operator.add, parts) for parts in every))
-
-    # One pose, with derivatives
 
     @cached_property
     def tree(self) -> KinematicTree:
@@ -452,11 +424,8 @@ class Objective:
     def value_grad_hess(
         self, q: Float[Array, " m"], goal: FrameGoal
     ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
-        """Value, gradient and Hessian at a pose: the sum over the terms.
-
-        The Hessian is as exact as those of the terms; the terms of Eq. (1) are exact, except at the
-        kinks of smooth-L1 (a set of measure zero).
-        """
+        """Value, gradient and Hessian at a pose: the sum over the terms. Those of Eq. (1) are
+        exact, except at the kinks of smooth-L1."""
         kinematics, joints = self.kinematics, self.hand.transmission.matrix
         motion = kinematics(all_joints(self.hand, q))
         each = [

@@ -100,10 +100,9 @@ class PinchGapEstimate:
         """Returns the state after a frame and its landmarks with closed pinches; traceable.
 
         A distance d is shortened by the fraction s min(1, g' / d)^p, where the largest distance of
-        a contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. When thumb and
-        finger hold an object, they appear slightly farther apart than in a contact. A fraction that
-        falls quickly keeps them apart, and its bounded slope does not amplify the tracker's shake
-        into jumps. Thumb and finger each move half of the distance.
+        a contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. It falls
+        quickly, because thumb and finger that hold an object appear slightly farther apart than in
+        a contact. Thumb and finger each move half of the distance.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.

@@ -78,10 +78,7 @@ class StateLayout:
         return cls(structure, tuple(map(np.shape, leaves)), kinds)
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
-        """Returns one array with the bits of all 32-bit leaves, and the other leaves.
-
-        NumPy arrays give a NumPy array; traceable.
-        """
+        """One array with the bits of all 32-bit leaves, and the other leaves; NumPy or JAX."""
         words: list[Any] = []
         others: list[Any] = []
         for leaf, kind in zip(jax.tree.leaves(state), self.kinds, strict=True):
@@ -131,8 +128,8 @@ class RetargetState:
 
     @classmethod
     def of(cls, state: FrameState, joined: bool = True) -> RetargetState:
-        """Creates a state from its trees. Without ``joined``, all arrays are kept separate, which
-        is faster for a method whose solver runs on the host."""
+        """Creates a state from its trees; without ``joined``, for a solver on the host, all arrays
+        are kept separate."""
         state = jax.device_get(state) if joined else state
         layout = StateLayout.of(state, joined)
         return cls(*layout.pack(state), layout)
@@ -226,12 +223,8 @@ def packed_result(*parts: Array | np.ndarray | float) -> Array:
 
 
 def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
-    """Creates the program of one frame. It is compiled at its first call, or read from the user's
-    cache if ``cached``.
-
-    Raises:
-        ConfigError: the method's ``step`` takes other arguments.
-    """
+    """Creates the program of one frame, which is compiled, or read from the user's cache if
+    ``cached``, at its first call. ConfigError if the method's ``step`` takes other arguments."""
     compiling = functools.partial(
         CompiledProgram,
         hand=method.hand,
@@ -293,14 +286,12 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
 
 
 LONGEST_TICKS: Final = 2**31 - 1
-"""Longest time between two frames in ticks, 36 minutes; longer times are cut to this. Differences
-are modulo 2^32, so without a bound a gap of 72 minutes would count as no gap."""
+"""Longest time between two frames in ticks, 36 minutes, because differences are modulo 2^32."""
 
 
 def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
-    """Time of a frame for the program: microseconds modulo 2^32, whose differences are exact. A
-    float32 of the time of day would be wrong by up to a minute. A timestamp that is not finite
-    counts as 0. A step back counts as -1 tick, and longer ones are cut.
+    """Time of a frame for the program: microseconds modulo 2^32, with exact differences, unlike
+    float32. A timestamp that is not finite counts as 0, a step back as -1 tick.
 
     Args:
         answered: timestamp [s] and ticks of the last frame with a command; None for the first.
@@ -337,12 +328,8 @@ class FrameClock(NamedTuple):
 
     @classmethod
     def of(cls, passed: UInt32[Array, ""], frames: UInt32[Array, ""]) -> FrameClock:
-        """Time of a frame; traceable.
-
-        Args:
-            passed: ticks since the last frame, in microseconds modulo 2^32.
-            frames: number of frames before this one.
-        """
+        """Time of a frame, from the ticks since the last one and the number of earlier frames;
+        traceable."""
         elapsed = passed.astype(jnp.int32) * 1e-6
         # a timestamp that goes back belongs to another recording
         restart = (frames == 0) | (elapsed > LONGEST_GAP) | (elapsed < 0)

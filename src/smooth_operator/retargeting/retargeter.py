@@ -1,8 +1,7 @@
 """Retargeter: converts hand frames to joint commands, with explicit state.
 
-Retargeters that would compile the same program share it: those with the same hand and
-configuration, and those of a hand and its mirror image, which uses the same program with reflected
-landmarks.
+Retargeters of the same configuration share a program if they have the same hand. A mirrored hand
+uses the program of the original with reflected landmarks.
 """
 
 from __future__ import annotations
@@ -54,16 +53,12 @@ class Retargeter:
     """Retargets frames of a tracked human hand onto one robot hand.
 
     Use it with explicit state (``init``, ``step``), or call it and let it keep the state
-    (``__call__``, ``reset``). Either way, one compiled program maps the landmarks of a frame to the
-    command (or to the solver's input, for methods whose solver is a library on the host). It is
-    compiled at the first frame or by ``warm_up``.
+    (``__call__``, ``reset``). One compiled program maps landmarks to the command (or to the input
+    of a solver on the host). It is compiled at the first frame or by ``warm_up``.
 
-    Methods depend on time, so every frame has a timestamp. If a frame has none, the retargeter uses
-    the time of the call or, with a ``rate``, one period after the previous frame. ``step`` has no
-    clock and refuses a frame without a timestamp unless there is a rate.
-
-    A frame that is invalid, not finite, degenerate or not a hand in metres gives the last good
-    command (before the first good frame: the neutral pose) with a status, and keeps the state.
+    A frame without a timestamp gets the time of the call or, with a ``rate``, one period after the
+    previous frame. A frame that is invalid, not finite, degenerate or not a hand in metres gives
+    the last good command (at first the neutral pose) with a status, and keeps the state.
 
     Args:
         hand: name of a hand, the path of a spec file, a description, or a loaded hand.
@@ -72,17 +67,16 @@ class Retargeter:
         preset: name of the preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
         seed: seed of the method's random numbers.
-        rate: frame rate [Hz] of frames without timestamps, such as those of a video, whose
-            timestamps then count from 0; None uses the time of the call.
+        rate: frame rate [Hz] of frames without timestamps, which then count from 0; None uses the
+            time of the call.
         clock: monotonic clock [s], for the time of the call.
         cache: True to read compiled programs from this user's cache folder and store them there.
         pinch_gaps: known gaps that the tracker leaves between thumb and finger when they touch, by
-            finger [palm lengths], such as ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``. The
-            running estimate starts with them. None uses the landmarks unchanged.
+            finger [palm lengths], such as ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``; the
+            estimate starts with them. None closes no gaps.
 
     Attributes:
-        shared: the compiled program with its method. For a hand that is described as a mirror
-            image, they are those of the original.
+        shared: the compiled program with its method; for a mirrored hand, those of the original.
         method: that method.
 
     Raises:
@@ -124,14 +118,13 @@ class Retargeter:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Human-readable notes on this method with this hand, such as estimated collision shapes if
-        the model's mesh files can't be read; empty for most hands."""
+        """Human-readable notes on this method with this hand; empty for most hands."""
         return self.config.notes(self.hand)
 
     @property
     def compiled(self) -> bool:
-        """True if this process has already computed a command with this hand and these settings, so
-        that the next frame does not compile. ``warm_up`` makes it true."""
+        """True if this process has computed a command with this hand and these settings, so that
+        the next frame does not compile."""
         return self.shared.compiled.is_set()
 
     def __repr__(self) -> str:
@@ -185,7 +178,7 @@ class Retargeter:
             stamp=None if self.rate is None else stamp,
             answered=(stamp, ticks) if status == Status.OK else state.answered,
         )
-        if status == Status.OK and not self.shared.compiled.is_set():
+        if status == Status.OK:
             self.shared.compiled.set()
         # float32 may round a limit outwards, so the final limit is applied in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
@@ -201,14 +194,8 @@ class Retargeter:
     def fingertip_targets(
         self, state: RetargetState | None = None
     ) -> Float[np.ndarray, "F 3"] | None:
-        """Fingertip targets of the last frame, in the palm frame [m].
-
-        Args:
-            state: a state from ``step``; None for the internal state.
-
-        Returns:
-            (F, 3), thumb first; None before the first frame or without fingertip targets.
-        """
+        """(F, 3) fingertip targets of the last frame in the palm frame [m], thumb first, of a state
+        or the internal one; None before the first frame or without fingertip targets."""
         state = self._state if state is None else state
         targets = self.method.fingertip_targets(state.method)
         if targets is None:
@@ -216,14 +203,8 @@ class Retargeter:
         return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
 
     def pinch_gaps(self, state: RetargetState | None = None) -> dict[str, float]:
-        """Estimated gaps that the tracker leaves when thumb and finger touch.
-
-        Args:
-            state: a state from ``step``; None for the internal state.
-
-        Returns:
-            gaps by finger [palm lengths], without fingers whose gap is unknown.
-        """
+        """Estimated gaps that the tracker leaves when thumb and finger touch, by finger [palm
+        lengths], of a state or the internal one; without fingers whose gap is unknown."""
         state = self._state if state is None else state
         gaps = self.method.pinch_gaps(state.method)
         found = () if gaps is None else np.asarray(gaps, float).tolist()
@@ -251,10 +232,10 @@ class Retargeter:
         A frame without a timestamp gets the current time, unless there is a rate.
 
         Raises:
-            ConfigError, RecordingError: as ``step``; frames with and without timestamps are mixed,
-                so that two clocks would be used; or the first 30 frames are of the other hand, in
-                another order or do not have the shape of a hand (``check_hand``). Later, such
-                frames have the status ``IMPLAUSIBLE_HAND``.
+            ConfigError: as ``step``, or frames with and without timestamps are mixed.
+            RecordingError: as ``step``, or the first 30 frames are of the other hand, in another
+                order or not of the shape of a hand. Later, such frames have the status
+                ``IMPLAUSIBLE_HAND``.
         """
         frame = self._framed(frame)
         stamped = frame.stamp is not None
@@ -308,8 +289,8 @@ class Retargeter:
         self._input = HandCheck(self.hand.spec.side)
 
     def warm_up(self) -> float:
-        """Compiles the program and loads the libraries of the solver, by retargeting two frames of
-        a flat human hand. The internal state does not change.
+        """Compiles the program by retargeting two frames of a flat human hand. The internal state
+        does not change.
 
         Returns:
             elapsed time [s].

@@ -1,11 +1,9 @@
 """``smooth``: the default method for live use; accurate, smooth and without self-collision.
 
-It adds six ideas to Eq. (1); a weight of 0 disables an idea. Fingertips copy the motion of the
-human's fingertips, while their positions are corrected gradually, mostly during motion. Fingertips
-that can reach the human's positions reach them exactly. The thumb's vectors are controlled by angle
-and length, not by distance alone. The thumb's pad faces in the same direction as the human's. Parts
-of the hand do not penetrate each other. The fingertip filter removes most of the tracker's shake
-and limits its jumps. docs/explanation/smooth.md has the equations.
+It adds to Eq. (1) that fingertips copy the motion of the human's and reach positions within reach
+exactly, that the thumb's vectors are controlled by angle and length, that its pad faces like the
+human's, that parts of the hand do not penetrate each other, and a fingertip filter against the
+tracker's shake and jumps. docs/explanation/smooth.md has the equations.
 """
 
 from __future__ import annotations
@@ -86,12 +84,11 @@ class SmoothConfig(ObjectiveMethodConfig):
         alignment: alignment of human landmarks to the palm frame.
         objective: targets, pose weight, and terms of your own.
         motion_weight: weight of the term that makes fingertips copy the human's motion, at 100 Hz.
-        motion_speed: human fingertip speed at which that weight is halved [m/s]. The weight falls
-            with the square of the speed, because a correction of the same size disturbs a fast
-            motion less. 0 keeps it constant.
+        motion_speed: human fingertip speed at which that weight is halved [m/s]; it falls with the
+            square of the speed. 0 keeps it constant.
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
             is latched to it, because moving fingers roll a held object out of the pinch. It falls
-            with speed like the motion weight, so that an opening hand is not held back.
+            with speed like the motion weight.
         spread_weight: cost of the squared excess of a long finger's spread over 0.2 rad [1/rad^2].
         pad_weight: cost of one minus the cosine between the last segments of the robot's and the
             human's thumb.
@@ -165,8 +162,8 @@ class Smooth(Method):
         config: settings.
         motion: the term of fingertip motion.
         objective: the terms to minimise: those of Eq. (1), and six more.
-        closing: the estimator that closes the gaps of a tracker in pinches.
-        correspondence: the correspondence of human and robot fingers.
+        closing: closes the gaps of a tracker in pinches.
+        correspondence: correspondence of human and robot fingers.
         pose_table: start poses for frames without a last command.
     """
 
@@ -334,11 +331,11 @@ class Smooth(Method):
     ) -> Float[Array, " m"]:
         """Returns the (m,) solution of a frame; traceable.
 
-        Normally, one descent starts from the last command. Without a last command, and shortly
-        after a fingertip has jumped (``forget``), two descents without the terms about the past
-        start from the table's pose and from the neutral pose, and the result with the lower cost is
-        used. If a fingertip has been lost for a while (``search``), that result is used only if its
-        cost is much lower than that of a third descent, which starts from the hand's own pose.
+        Normally, one descent starts from the last command. Without one, and shortly after a
+        fingertip has jumped (``forget``), two descents without the terms about the past start from
+        the table's and the neutral pose, and the one with the lower cost is used. If a fingertip
+        has been lost for a while (``search``), it is used only if its cost is much lower than that
+        of a third descent, which starts from the hand's own pose.
         """
         last = jnp.asarray(goal.previous)
         limits = frame_limits(self.hand, goal.vectors[: len(self.hand.fingers)])
@@ -370,17 +367,12 @@ class Smooth(Method):
 def frame_limits(
     hand: Hand, tips: Float[Array, "F 3"] | Float[np.ndarray, "F 3"]
 ) -> Float[Array, "m 2"] | Float[np.ndarray, "m 2"]:
-    """Returns the (m, 2) joint limits of a frame [rad]; traceable.
+    """(m, 2) joint limits of a frame [rad], for (F, 3) human fingertips relative to the robot's
+    wrist [m]; traceable.
 
-    Many robot fingers reach their full length some degrees before the limit of a joint beyond the
-    knuckle, which then bends them backwards. Between that position and the limit, a finger can't
-    become shorter than at the limit: an optimiser that ends there keeps the finger straight or bent
-    backwards although the human's finger is bent. If the human's fingertip is closer to the base of
-    the finger than that, the joint is kept on the other side.
-
-    Args:
-        hand: the robot hand.
-        tips: (F, 3) positions of the human's fingertips relative to the robot's wrist [m].
+    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle. In
+    between they bend backwards, and an optimiser that ends there can't bend them. If the human's
+    finger is shorter than the robot's at the limit, the joint is kept on the other side.
     """
     limits, bends = hand.limits, bends_past_straight(hand)
     if not bends:
@@ -395,8 +387,8 @@ def frame_limits(
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()
-"""Preset for live use: causal, without delay. The robot hand is open when the human's hand is open
-and closed when it is closed, whatever the lengths of the fingers."""
+"""Preset for live use. The robot hand is open when the human's hand is open and closed when it is
+closed, whatever the lengths of the fingers."""
 
 SMOOTH_PRECISE: Final = replace(
     SMOOTH_TELEOP,
@@ -409,8 +401,8 @@ SMOOTH_PRECISE: Final = replace(
     pad_weight=0.0,
     direction_length=DirectionLengthConfig(direction=2.5),
 )
-"""Preset for the paper's metrics: matches the human's fingertip positions after aligning the palms,
-and gives priority to the directions from the thumb. Fingers may stay bent in an open hand."""
+"""Preset for the paper's metrics: matches the human's fingertip positions and the directions from
+the thumb. Fingers may stay bent in an open hand."""
 
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     SMOOTH_PRECISE,

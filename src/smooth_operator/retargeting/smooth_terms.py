@@ -40,10 +40,8 @@ _LEAST: Final = 0.25
 
 @dataclass(frozen=True, eq=False)
 class FingertipMotion(PointTerm):
-    """Cost term that makes fingertips copy the human's motion, whatever their position error.
-
-    Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last command) - the human's step|^2, with
-    the goal's mu_i (``motion_weights``) and fingertips after that step (``tips``).
+    """Cost term that makes fingertips copy the human's motion, whatever their position error: sum
+    of mu_i / (2 beta) |p_i - t_i|^2 with the goal's ``motion_weights`` mu and ``tips`` t.
 
     Attributes:
         hand: the robot hand.
@@ -99,10 +97,8 @@ class FingertipPositionConfig:
 class FingertipPosition(VectorTerm):
     """Cost term that removes small position errors of fingertips completely.
 
-    The keyvectors between fingertips have larger weights than those from the wrist, so the position
-    of all fingertips together is controlled weakly. This cost controls it strongly if the robot can
-    reach the human's fingertips. It is bounded: a fingertip that is far from the human's because of
-    different bones is not pulled, and copies the human's motion.
+    It is bounded: a fingertip that is far from the human's because of different bones is not
+    pulled, and copies the human's motion.
 
     Attributes:
         config: settings.
@@ -132,9 +128,9 @@ class FingertipPosition(VectorTerm):
 def _turned(
     vectors: Float[Array, "*n 3"], aim: Float[Array, "*n 3"], weight: Array | float
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Cost of the angle between vectors and the unit vectors ``aim``: weight times one minus its
-    cosine. Returns the lengths of the vectors, rounded near 0 [m], the vectors over those, the
-    cost, its first derivative, and its second across the vector; along it there is none."""
+    """Weight times one minus the cosine between vectors and unit vectors. Returns the lengths of
+    the vectors, rounded near 0 [m], the vectors over those, the cost, its first derivative, and its
+    second across the vector; along it there is none."""
     size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
     unit = vectors / size[..., None]
     cosine = (aim * unit).sum(-1)
@@ -145,11 +141,8 @@ def _turned(
 
 @dataclass(frozen=True, eq=False)
 class PadDirection(PointTerm):
-    """Cost term that points the thumb's last segment, and so its pad, like the human's.
-
-    Weight times one minus the cosine between the two segments. Most thumbs have more joints than
-    the position of the fingertip determines. The direction of the pad decides whether a held
-    object rolls.
+    """Cost term that points the thumb's last segment, and so its pad, like the human's: weight
+    times one minus the cosine. The direction of the pad decides whether a held object rolls.
 
     Attributes:
         hand: the robot hand.
@@ -189,9 +182,8 @@ SPREAD: Final = 0.2
 class FingerSpread(JointTerm):
     """Cost term on long fingers that spread far: weight times the squared excess over ``SPREAD``.
 
-    The tip of a bent finger hardly moves with the joint that spreads it. Where that joint has a
-    wide range, as LEAP's of 1.05 rad, it would drift to its limit. From there the finger would open
-    along a different path than the human's, and then jump.
+    The tip of a bent finger hardly moves with the joint that spreads it, so a joint with a wide
+    range, as LEAP's of 1.05 rad, would drift to its limit, and an opening finger would jump.
 
     Attributes:
         hand: the robot hand.
@@ -223,10 +215,8 @@ class FingerSpread(JointTerm):
 
 @dataclass(frozen=True)
 class DirectionLengthConfig:
-    """Settings of the direction and length cost.
-
-    The cost of length is linear beyond ``huber_width``, so the force that closes a pinch is
-    bounded, and so is the penetration depth of the parts.
+    """Settings of the direction and length cost. The cost of length is linear beyond
+    ``huber_width``, so that the force that closes a pinch is bounded.
 
     Attributes:
         direction: cost of one minus the cosine between a vector and the human's; 0 disables it.
@@ -249,8 +239,8 @@ class DirectionLengthConfig:
 class DirectionLength(VectorTerm):
     """Cost term on direction (1 - cosine) and length errors of the vectors from the thumb's tip.
 
-    Where parts that touch keep a short vector from its target, the nearest point to the target may
-    lie in any direction. A separate cost keeps the direction close to the human's.
+    Where touching parts keep a short vector from its target, only a cost of direction keeps it
+    close to the human's.
 
     Attributes:
         config: settings.
@@ -341,8 +331,8 @@ class SelfCollision(PointTerm):
     def expand(
         self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``. Nearest points are held fixed on their segments: the first derivative
-        is exact; the second contains only the contribution of the kinematics."""
+        """See ``PointTerm``. Nearest points are held fixed on their segments, so only the first
+        derivative is exact."""
         pairs, config = self.pairs, self.config
         ends = points.reshape(-1, 2, 3)[pairs.pairs]
         one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))

@@ -116,8 +116,7 @@ StateT = TypeVar("StateT")
 class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     """Maps the human's vectors to the targets of the robot's, frame by frame.
 
-    A policy is immutable. Its memory between frames is its state: a pytree of arrays that ``init``
-    creates and every call takes and returns. Subclasses are frozen dataclasses.
+    Subclasses are frozen dataclasses; the memory between frames is a pytree of arrays.
     """
 
     @abstractmethod

@@ -7,13 +7,11 @@ number of the printed algorithm.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Final, Literal, TypeAlias
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -28,62 +26,10 @@ from smooth_operator.retargeting.sbr.random_numbers import (
 )
 from smooth_operator.settings import check_choice, check_numbers
 
-_ROWS: Final = 32  # one bit of a word each
 
-
-def largest(
-    values: Float[Array, " n"], count: int
-) -> tuple[Float[Array, " count"], Int[Array, " count"]]:
-    """Returns the largest values in descending order and their indices, like ``lax.top_k``, but in
-    half the time on a CPU.
-
-    XLA uses a heap, whose branches a processor can't predict: 45 us for 128 of 8192. Here the
-    values fill a table of 32 rows. The columns with the largest maxima contain all results, and
-    few other entries exceed the smallest of these maxima; only these are compared one by one. The
-    choice among equal values is arbitrary; NaN is not allowed.
-    """
-    columns, rest = divmod(len(values), _ROWS)
-    if rest or columns < 2 * count or jax.default_backend() != "cpu":
-        return _by_heap(values, count)
-    rows = [values[i * columns : (i + 1) * columns] for i in range(_ROWS)]
-    best, column = _by_heap(functools.reduce(jnp.maximum, rows), count)
-    # Bit i of a column's word is set if row i reaches the smallest of the best maxima
-    bit = [(row >= best[-1]).astype(jnp.uint32) << i for i, row in enumerate(rows)]
-    words = functools.reduce(jnp.bitwise_or, bit)[column]
-    # Place p takes one of the set bits, column by column; floats represent such integers exactly
-    bits = lax.population_count(words).astype(jnp.float32)
-    so_far = jnp.asarray(np.tri(count, dtype=np.float32)) @ bits
-    place = jnp.arange(2 * count)
-    at = jnp.minimum(jnp.sum(so_far[:, None] <= place, axis=0, dtype=jnp.int32), count - 1)
-    row_of = _set_bit(words[at], place - (so_far - bits).astype(jnp.int32)[at])
-    index = row_of * columns + column[at]
-
-    chosen = jnp.where(place < so_far[-1], values[index], -jnp.inf)
-    ordered, position = _by_heap(chosen, count)
-    # If there are more entries than places (an unlikely order, or many equal values), use the heap.
-    # This is a loop of at most one pass, because ``vmap`` would compute both sides of a branch.
-    more = (so_far[-1] > len(place)).astype(jnp.int32)
-    largest: tuple[Array, Array] = lax.fori_loop(
-        0, more, lambda _, largest: _by_heap(values, count), (ordered, index[position])
-    )
-    return largest
-
-
-def _by_heap(values: Array, count: int) -> tuple[Array, Array]:
-    # Without the barrier, XLA sorts all values if only one of them is read
+def _largest(values: Array, count: int) -> tuple[Array, Array]:
+    """``lax.top_k``. Without the barrier, XLA on a CPU sorts all values, which is slower."""
     return lax.optimization_barrier(tuple(lax.top_k(values, count)))  # type: ignore
-
-
-def _set_bit(word: Array, rank: Array) -> Array:
-    """Position of the set bit that has ``rank`` set bits below it, by bisection."""
-    place = jnp.zeros_like(rank)
-    for half in (16, 8, 4, 2, 1):
-        below = lax.population_count(word & jnp.uint32((1 << half) - 1)).astype(jnp.int32)
-        above = rank >= below
-        rank = jnp.where(above, rank - below, rank)
-        word = jnp.where(above, word >> half, word)
-        place = place + jnp.where(above, half, 0)
-    return place
 
 
 MOST_SAMPLES: Final = 1 << 20
@@ -179,7 +125,7 @@ def sample_minimise(
         # Line 4: draw the candidates. Line 5: compute their costs
         costs = cost(gaussian.draw_all(mean, chol, cycle_key))
         # Line 7: the M elites, best first
-        rewards, index = largest(-costs, config.elites)
+        rewards, index = _largest(-costs, config.elites)
         elites = gaussian.draw(mean, chol, cycle_key, index)
         # Line 8: J_min is the cost of the first elite. Line 9: w_m; the division by their sum is
         # cheaper after the next sum
