@@ -146,16 +146,6 @@ REFUSED: dict[str, tuple[str, str, str]] = {
         re.sub(r'pos="\S+ ', 'pos="nan ', MJCF, count=2),
         r"numbers that are not finite",
     ),
-    "large terrain": (
-        "h.xml",
-        MJCF.replace(
-            "<worldbody>",
-            '<asset><hfield name="t" nrow="60000" ncol="60000" size="1 1 1 1"/></asset><worldbody>'
-            '<geom type="hfield" hfield="t"/>',
-            1,
-        ),
-        r"terrain",
-    ),
 }
 
 

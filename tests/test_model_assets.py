@@ -20,11 +20,11 @@ from smooth_operator.benchmark.cells import only_side
 from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.model_limits import BODY, MOST_ELEMENTS
 from smooth_operator.hand_files.user_hands import copy_model, model_files
 from smooth_operator.hands import mujoco_messages
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec
-from smooth_operator.hands.model_assets import BODY, MOST_ELEMENTS
 from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
 from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
@@ -202,7 +202,7 @@ WEDGE = '<asset><mesh name="w" builtin="wedge" params="20000 20000 30 30 0"/></a
 ENDLESS: dict[str, tuple[str, str]] = {
     "replicate": (
         world(f'<replicate count="100000000" offset="1 0 0">{GEOM}</replicate>'),
-        r"more than 500 bodies, 20000 elements",
+        r"more than 500 bodies or 20000 elements",
     ),
     "replicate of bodies": (
         world(
@@ -229,6 +229,13 @@ ENDLESS: dict[str, tuple[str, str]] = {
         world('<body><joint/><geom type="mesh" mesh="w"/></body>', WEDGE),
         "params=.* is too large; expected at most 512",
     ),
+    "large terrain": (
+        world(
+            '<geom type="hfield" hfield="t"/>',
+            '<asset><hfield name="t" nrow="60000" ncol="60000" size="1 1 1 1"/></asset>',
+        ),
+        "terrain",
+    ),
     "keyframes": (world(GEOM, '<size nkey="500000000"/>'), "nkey=.* is too large"),
     "links": (links(5000), "bodies"),
     "includes itself": (world('<include file="model.xml"/>'), "includes itself"),
@@ -253,10 +260,10 @@ def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, reade
     )
     path = tmp_path / ("model.urdf" if text.startswith("<robot") else "model.xml")
     path.write_text(text)
-    verdict = reader.read("smooth_operator.hands.loading:load_model", path)  # ends what hangs
+    verdict = reader.read("hostile_files:discovery", path)  # ends what hangs
     assert (verdict.sound, verdict.outcome) == (True, "refused"), verdict
     with pytest.raises(HandModelError, match=said):
-        load_model(path)
+        discover(path)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")

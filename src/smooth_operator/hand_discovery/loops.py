@@ -36,6 +36,7 @@ from numpy.polynomial import Polynomial
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.linkages import HINGE, SLIDE, Edge, LinkGraph, Loop, Pose
 from smooth_operator.hand_discovery.loop_writer import OpenLoop, write_without_loops
+from smooth_operator.hand_discovery.model_limits import check_model_limits
 from smooth_operator.hands.loading import load_spec
 from smooth_operator.hands.model_assets import model_path, read_model_files
 from smooth_operator.hands.spec import MOST_DEGREE, Coupling
@@ -74,6 +75,7 @@ def opened(path: Path) -> Iterator[OpenModel]:
     """
     loops: list[Loop] = []
     if isfile(path) and _may_have_loops(path):  # others get their message from ``discover``
+        check_model_limits(path)
         spec = load_spec(path)
         graph = LinkGraph(spec.compile())
         loops = graph.loops()

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from numpy.polynomial import Polynomial
 
 from smooth_operator.errors import HandModelError, UnknownNameError, require
+from smooth_operator.hand_discovery.model_limits import check_model_limits
 from smooth_operator.hands.loading import load_model, merged_couplings
 from smooth_operator.hands.model_assets import read_model_files, read_model_xml
 from smooth_operator.hands.spec import Coupling, Point
@@ -324,6 +325,7 @@ def read_skeleton(
             are reversed, it has no joints, or MuJoCo can't compile it.
     """
     root = _parse(path)
+    check_model_limits(path)
     _check_names(root, path)
     pinned = _check_limits(root, path)
     loaded = load_model(path)

@@ -1,15 +1,13 @@
 """Reader of robot model files (MJCF, URDF) and of the names of their meshes and textures.
 
 ROS packages name meshes ``package://NAME/meshes/link.stl``; exporters write paths of the machine
-they ran on. This module resolves the names, and it bounds the size to which a small file can expand
-before MuJoCo, which can't be interrupted, reads it.
+they ran on. This module resolves the names.
 """
 
 from __future__ import annotations
 
 import codecs
 import itertools
-import math
 import os
 import re
 import xml.etree.ElementTree as ElementTree
@@ -25,22 +23,11 @@ import numpy as np
 from smooth_operator.errors import DocumentError, HandModelError, brief
 from smooth_operator.io.plain_files import check_plain_file, is_file
 
-MOST_ELEMENTS: Final = 20_000
-"""Largest number of XML elements, copies included; a body counts as ``BODY``. Hands have 1,000 to
-4,000. The limit is 500 bodies; a humanoid with two hands has 150. MuJoCo takes 4 s for a chain of
-1,000 bodies, and 20 s for 50,000 shapes."""
-BODY: Final = 40
 MOST_NAMES: Final = 2_000
 """Largest number of different files that a model names."""
 MOST_MESH_BYTES: Final = 50_000_000
 """Largest mesh or texture; a larger one is left out. Hands' have 0.01 to 10 MB; MuJoCo reads 4 MB
 a second."""
-_MOST_ROOM: Final = 10_000
-"""Largest value of the attributes ``_ROOM``, for which MuJoCo allocates memory without a bound."""
-_MOST_FACETS: Final = 512
-"""Largest resolution of a generated shape; its number of facets is up to the square of it."""
-_ROOM: Final = ("nkey", "nuserdata", "width", "height", "numeric size")
-_DEEPEST: Final = 20  # depth of files that include or attach each other
 _TAILS: Final = 8  # number of last parts of a path with which a file is looked for
 _NEAR: Final = 4  # folders above the model in which a file is looked for by its bare name
 _MOST_BELOW: Final = 10_000  # files below the model's folder among which one is looked for
@@ -56,7 +43,8 @@ _FILES: Final = (
     "fileback",
 )
 _FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
-_DOCUMENTS: Final = ("include", "model")
+DOCUMENTS: Final = ("include", "model")
+"""Elements that name another file of the model."""
 
 
 @dataclass(frozen=True)
@@ -103,16 +91,15 @@ def read_model_files(path: Path) -> ModelFiles:
     """Read a model file, MJCF or URDF, and find the files that it names.
 
     Raises:
-        HandModelError: there is no such file, its path is not UTF-8, it names a pipe or a device,
-            or it expands to more than ``MOST_ELEMENTS`` or ``MOST_NAMES``.
+        HandModelError: there is no such file, its path is not UTF-8, or it names a pipe, a device
+            or more than ``MOST_NAMES`` files.
     """
     reader = _Reader(model_path(path))
     for document in reader.pending:  # grows during the loop
         reader.read(document)
     for name in reader.names:
         reader.find(name)
-    reader.check(reader.total(reader.model, ()))
-    root = reader.documents[reader.model].root
+    root = reader.documents[reader.model]
     inertias: tuple[str, ...] = ()
     changed = False
     if root.tag == "robot":
@@ -122,7 +109,7 @@ def read_model_files(path: Path) -> ModelFiles:
         root,
         tuple(reader.documents),
         reader.assets,
-        bool(reader.models),
+        reader.attaches,
         frozenset(reader.pointers),
         inertias,
         changed,
@@ -173,27 +160,10 @@ def _drop_colours(root: ElementTree.Element) -> bool:
 
 
 @dataclass
-class _Document:
-    """An XML file of a model.
-
-    Attributes:
-        root: root element.
-        count: number of its elements, copies included.
-        inner: files that it includes or names of models that it attaches, with their numbers.
-        total: ``count`` with that of all inner files; None until it is computed.
-    """
-
-    root: ElementTree.Element
-    count: float = 0.0
-    inner: list[tuple[Path | str, float]] = field(default_factory=list)
-    total: float | None = None
-
-
-@dataclass
 class _Reader:
     model: Path
-    documents: dict[Path, _Document] = field(default_factory=dict)
-    models: dict[str, Path] = field(default_factory=dict)
+    documents: dict[Path, ElementTree.Element] = field(default_factory=dict)
+    attaches: bool = False
     listings: dict[Path, dict[str, str]] = field(default_factory=dict)  # read once for all names
     assets: dict[str, Path] = field(default_factory=dict)
     pointers: set[str] = field(default_factory=set)
@@ -206,79 +176,29 @@ class _Reader:
     def read(self, path: Path) -> None:
         if path in self.documents:
             return
-        root = read_model_xml(path)
-        document = self.documents[path] = _Document(root)
+        root = self.documents[path] = read_model_xml(path)
         own = [c.get(key, "") for c in root.iter("compiler") for key in _FOLDERS]
         bases = (self.model.parent, path.parent)
         self.folders |= {base / folder: None for folder in (*own, "") for base in bases}
-        pending = [(root, 1.0)]
-        while pending:
-            element, times = pending.pop()
-            copies = _copies(element)
-            body = element.tag in ("body", "link", "composite", "flexcomp")
-            document.count += times * (BODY * copies if body else 1)
-            self.check(document.count)
-            self._check_room(element)
+        for element in root.iter():
             for key in _FILES:
                 if name := element.get(key):
-                    self._name(element, name, path, times)
-            if element.tag == "attach":
-                document.inner.append((element.get("model", ""), times))
-            pending += [(child, times * copies) for child in reversed(element)]
-
-    def total(self, path: Path, above: tuple[Path, ...]) -> float:
-        """Number of elements of a document and of all that it includes and attaches."""
-        if path in above or len(above) > _DEEPEST:
+                    self._name(element, name, path)
+        if len(self.names) > MOST_NAMES:
             raise HandModelError(
-                f"{path} includes itself, or files include each other more than {_DEEPEST} deep; "
-                "write the model into one file"
-            )
-        document = self.documents[path]
-        if document.total is None:
-            document.total = document.count
-            for inner, times in document.inner:
-                file = inner if isinstance(inner, Path) else self.models.get(inner)
-                if file is not None:
-                    document.total += times * self.total(file, (*above, path))
-        return document.total
-
-    def check(self, count: float) -> None:
-        if count > MOST_ELEMENTS or len(self.names) > MOST_NAMES:
-            raise HandModelError(
-                f"{self.model} has more than {MOST_ELEMENTS // BODY} bodies, {MOST_ELEMENTS} "
-                f"elements or {MOST_NAMES} names of files, counting the copies that "
-                "replicate, composite, flexcomp and attach make; use a model of the hand "
-                "alone"
+                f"{self.model} names more than {MOST_NAMES} files; use a model of the hand alone"
             )
 
-    def _name(self, element: ElementTree.Element, name: str, path: Path, times: float) -> None:
+    def _name(self, element: ElementTree.Element, name: str, path: Path) -> None:
         """Adds a file that an element names."""
-        if element.tag not in _DOCUMENTS:
+        if element.tag not in DOCUMENTS:
             self.names[name] = None
             return
-        for place in (self.model.parent / name, path.parent / name):
+        for place in document_places(name, self.model, path):
             if self._is_plain(place, name):  # MuJoCo reports a missing one
-                inner = Path(os.path.normpath(place))
-                self.pending.append(inner)
-                if element.tag == "model":
-                    self.models[element.get("name") or inner.stem] = inner
-                else:
-                    self.documents[path].inner.append((inner, times))
+                self.pending.append(place)
+                self.attaches |= element.tag == "model"
                 return
-
-    def _check_room(self, element: ElementTree.Element) -> None:
-        """Refuses attributes that make MuJoCo allocate or compute without a bound."""
-        for key, text in element.items():
-            most = math.inf
-            if key == "params" and element.tag == "mesh":
-                most = _MOST_FACETS
-            elif key in _ROOM or key.startswith("nuser_") or f"{element.tag} {key}" in _ROOM:
-                most = _MOST_ROOM
-            if any(abs(number) > most for number in _numbers(text)):
-                raise HandModelError(
-                    f"{self.model}: {key}={brief(text)} of <{element.tag}> is too large; expected "
-                    f"at most {most}"
-                )
 
     def find(self, name: str) -> None:
         """Adds the file of that name to the assets if it exists."""
@@ -332,27 +252,14 @@ def is_pointer(path: Path) -> bool:
         return False  # reading it reports why
 
 
-def _copies(element: ElementTree.Element) -> float:
-    """Number of copies that an element makes of its content."""
-    if element.tag not in ("replicate", "composite", "flexcomp"):
-        return 1.0
-    if element.tag == "flexcomp" and element.get("file"):
-        return MOST_ELEMENTS  # a body for each point of the file
-    counts = [max(number, 1.0) for number in _numbers(element.get("count", ""))]
-    return max(math.prod(counts), len(element.get("point", "").split()) / 3)
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split()]
-    except ValueError:
-        return []  # MuJoCo reports it
+def document_places(name: str, model: Path, path: Path) -> tuple[Path, Path]:
+    """Where a file may be that a document of a model includes or attaches."""
+    one, other = (Path(os.path.normpath(file.parent / name)) for file in (model, path))
+    return one, other
 
 
 _MOST_BYTES: Final = 50_000_000
 """Size of the largest model file; they have 5 to 500 kB, since meshes are separate files."""
-_MOST_HEIGHTS: Final = 4_000_000
-"""Points of the largest terrain; MuJoCo allocates memory for them without a bound."""
 _DECLARED: Final = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
 _DECLARATION: Final = re.compile(r"^\s*<\?xml[^>]*\?>")
 _MARKS: Final = {
@@ -394,16 +301,6 @@ def read_model_xml(path: Path) -> ElementTree.Element:
         raise HandModelError(
             f"{path} starts with <{root.tag[:40]}>; expected <mujoco> (MJCF) or <robot> (URDF)"
         )
-    for terrain in root.iter("hfield"):
-        try:
-            count = int(terrain.get("nrow", "0")) * int(terrain.get("ncol", "0"))
-        except ValueError:
-            continue  # MuJoCo reports it
-        if abs(count) > _MOST_HEIGHTS:
-            raise HandModelError(
-                f"{path} has a terrain (hfield) of {count:.0e} points; expected at most "
-                f"{_MOST_HEIGHTS}: remove it, because a hand does not need terrain"
-            )
     return root
 
 
