@@ -67,8 +67,9 @@ def digests(output: Path) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("format", "workers"),
     [
-        ("parquet", (0, 2)),
+        ("parquet", (0,)),
         ("webdataset", (0,)),
+        pytest.param("parquet", (0, 2), marks=pytest.mark.weekly),
         pytest.param("webdataset", (0, 2), marks=pytest.mark.weekly),
     ],
 )

@@ -81,7 +81,14 @@ def test_an_example_is_short_and_uses_public_names(path):
     assert ast.get_docstring(ast.parse(source))
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=pytest.mark.weekly if "optuna" in path.stem else ())
+        for path in EXAMPLES
+    ],
+    ids=lambda path: path.stem,
+)
 def test_an_example_runs(path, tmp_path, monkeypatch):
     """In an empty folder; what it claims, it asserts. Compiled programs serve the next ones."""
     monkeypatch.chdir(tmp_path)

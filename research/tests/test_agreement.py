@@ -13,15 +13,10 @@ goal of .97 holds for the recordings of other trackers, not for this one, whose 
 (20 frames of the other hand)."""
 
 
+@pytest.mark.weekly
 @pytest.mark.parametrize(
     "name",
-    [
-        "mimic_p050",
-        *(
-            pytest.param(name, marks=pytest.mark.weekly)
-            for name in ("shadow_hand", "orca_v2", "allegro_hand", "leap_hand", "wuji_hand")
-        ),
-    ],
+    ["mimic_p050", "shadow_hand", "orca_v2", "allegro_hand", "leap_hand", "wuji_hand"],
 )
 def test_fast_fists_of_a_camera(name, shared, monkeypatch):
     """Fists that close within four frames, seen by a tracker with 4 mm of noise."""

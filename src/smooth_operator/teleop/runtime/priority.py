@@ -42,7 +42,6 @@ def low_jitter() -> Iterator[None]:
     atexit.register(gc.freeze)
     turn = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
-    gc.collect()
     gc.freeze()
     try:
         yield
