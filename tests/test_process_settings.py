@@ -8,8 +8,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 SETTINGS = """
 import json, logging, os, signal, sys, threading, warnings
 
