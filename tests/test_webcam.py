@@ -255,7 +255,7 @@ def test_the_newest_picture_is_taken_and_the_others_are_dropped(captures, monkey
 
     monkeypatch.setattr(Capture, "read", numbered)
     captures.left = [10**6]
-    camera = Camera(0, 640, 480, 30.0)
+    camera = Camera(Webcam().capture, 0)
     wait_for(lambda: len(numbers) > 10)
     last = numbers[-2]  # the last one may not have reached the camera yet
     picture = camera.newest(10.0)

@@ -166,7 +166,9 @@ _DEVICE_SOURCES: Final = {
     "angles": ("gloves that give joint angles: angles:deg, angles:rad", ""),
     "bvh": ("a body capture that broadcasts BVH over UDP: bvh:FILE", ""),
     "isaac": ("hands from any Isaac Teleop device", "isaac"),
+    "oak": ("a Luxonis OAK-D depth camera, tracked by MediaPipe", "oak"),
     "openxr": ("hands from this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),
+    "realsense": ("a RealSense depth camera, tracked by MediaPipe", "realsense"),
     "rokoko": ("gloves or suit, from Rokoko Studio", "rokoko"),
     "ros2": (f"hand poses from ROS 2 topics; {_ROS2}", "ros2"),
 }

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import glob
 import os
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -68,33 +68,33 @@ class Picture:
         pixels: blue, green, red.
         time: time at which it was read, by the loop's clock [s].
         session: number of earlier reconnections of the camera.
+        depth: what a depth camera adds; None for other cameras.
     """
 
     pixels: UInt8[ndarray, "h w 3"]
     time: float
     session: int
+    depth: Any = None
 
 
 class Camera:
     """A camera and the thread that reads its pictures, so that none waits in a queue.
 
     Args:
-        name: number, device or address of the camera.
-        width: requested width of the pictures [pixels]; the camera may use a different one.
-        height: requested height of the pictures [pixels].
-        rate: requested picture rate [Hz].
+        open: function that opens the camera, or opens it again, such as ``open_camera``. Its
+            ``read`` returns True and the picture, with the depth if it has one, or False.
+        name: name of the camera.
 
     Raises:
-        MissingExtraError: OpenCV is not installed.
-        SourceError: there is no such camera, or it delivers no picture.
+        SmoothOperatorError: those of ``open``.
 
     Attributes:
         lost: True while the camera is lost and the thread tries to open it again.
     """
 
-    def __init__(self, name: int | str, width: int, height: int, rate: float) -> None:
+    def __init__(self, open: Callable[[], Capture], name: int | str) -> None:
         self.lost = False
-        self._open = functools.partial(open_camera, name, width, height, rate)
+        self._open = open
         self._stopping = threading.Event()
         self._came = threading.Condition()
         self._newest: Picture | None = None
@@ -119,9 +119,9 @@ class Camera:
     def _read(self, capture: Capture) -> None:
         session = 0
         while not self._stopping.is_set():
-            there, pixels = capture.read()
+            there, pixels, *depth = capture.read()
             if there:
-                picture = Picture(pixels, time.perf_counter(), session)
+                picture = Picture(pixels, time.perf_counter(), session, *depth)
                 with self._came:
                     self._newest = picture
                     self._came.notify_all()
@@ -140,7 +140,18 @@ class Camera:
 
 
 def open_camera(name: int | str, width: int, height: int, rate: float) -> Capture:
-    """Opens a camera that delivers pictures."""
+    """Opens a camera that delivers pictures.
+
+    Args:
+        name: number, device or address of the camera.
+        width: requested width of the pictures [pixels]; the camera may use a different one.
+        height: requested height of the pictures [pixels].
+        rate: requested picture rate [Hz].
+
+    Raises:
+        MissingExtraError: OpenCV is not installed.
+        SourceError: there is no such camera, or it delivers no picture.
+    """
     cv2 = opencv()
     capture = cv2.VideoCapture(name)
     if capture.isOpened():

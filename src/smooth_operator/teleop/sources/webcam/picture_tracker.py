@@ -80,14 +80,18 @@ class PictureTracker:
         Raises:
             SourceError: MediaPipe failed.
         """
+        return [
+            HandFrame(landmarks_of(hand, self._config.points), time, side, valid=hand.inside)
+            for side, hand in self.hands(pixels, time).items()
+        ]
+
+    def hands(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> dict[Side, SeenHand]:
+        """Finds the hands as ``frames``, with their places in the picture."""
         colours = self._cv2.cvtColor(pixels, self._cv2.COLOR_BGR2RGB)
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
         detections = self._landmarker.find(turned, time)
         hands, self._tracks = assign_sides(detections, self._tracks, time)
-        return [
-            HandFrame(landmarks_of(hand, self._config.points), time, side, valid=hand.inside)
-            for side, hand in hands.items()
-        ]
+        return hands
 
     def close(self) -> None:
         """Closes the model; a second call does nothing."""

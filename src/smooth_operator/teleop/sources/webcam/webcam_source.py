@@ -18,7 +18,13 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.settings import check_numbers
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.webcam.camera import Camera, VideoFile
+from smooth_operator.teleop.sources.webcam.camera import (
+    Camera,
+    Capture,
+    Picture,
+    VideoFile,
+    open_camera,
+)
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
 from smooth_operator.types import HandFrame, HandRecording, Side
 
@@ -74,11 +80,19 @@ class Webcam(_Pictures):
         """Name for a person, in a few words."""
         return f"camera {self.camera}"
 
+    def capture(self) -> Capture:
+        """Opens the camera; see ``Camera``."""
+        return open_camera(self.camera, self.width, self.height, self.rate)
+
+    def frames(self, picture: Picture, tracker: PictureTracker) -> list[HandFrame]:
+        """Finds the hands in a picture."""
+        return tracker.frames(picture.pixels, picture.time)
+
     def open(self) -> None:
         """Loads the model and opens the camera; errors reach the caller."""
         tracker = PictureTracker(self)
         try:
-            camera = Camera(self.camera, self.width, self.height, self.rate)
+            camera = Camera(self.capture, self.camera)
         except BaseException:
             tracker.close()
             raise
@@ -95,7 +109,7 @@ class Webcam(_Pictures):
                         detail = "the camera was disconnected; trying to open it again"
                         running.health = SourceHealth("waiting", detail)
                     continue
-                frames = tracker.frames(picture.pixels, picture.time)
+                frames = self.frames(picture, tracker)
                 for frame in frames:
                     running.mailbox.post(frame, session=picture.session)
                 _say(running, frames)
