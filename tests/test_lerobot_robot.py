@@ -74,6 +74,15 @@ def go(device: Any, action: dict[str, float], near: float) -> list[Any]:
     pytest.fail(f"the hand did not come to {action}, but to {seen}")
 
 
+def test_the_wrist_joints_of_a_hand_have_keys_unless_an_arm_follows_the_wrist(robot):
+    fingers = [f"{name}.pos" for name in load_hand("orca_v2").actuated_names]
+    own = robot(hand="orca_v2")
+    assert list(own.action_features) == [*fingers, "right_wrist.pos"]
+    assert list(own.observation_features) == [*fingers, "right_wrist.pos"]
+    assert "right_wrist.pos" not in robot(hand="orca_v2", wrist="quaternion").action_features
+    assert "right_wrist.pos" not in robot(hand="orca_v2", wrist_joints=False).action_features
+
+
 def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(robot, plugin):
     hand = load_hand("mimic_p050")
     device = robot(unit="radians")

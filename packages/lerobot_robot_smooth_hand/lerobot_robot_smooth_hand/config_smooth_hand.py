@@ -27,6 +27,8 @@ class SmoothHandConfig(RobotConfig):
         unit: unit of the keys: ``radians`` or ``degrees``.
         wrist: ``none``, or the form of the targets for the hand's wrist, ``rotation_6d`` or
             ``quaternion`` (``tcp.x``, ...); the sinks get them, for an arm.
+        wrist_joints: also command the joints between forearm and palm of a hand that has any. They
+            are left out if ``wrist`` is not ``none``, since the arm then moves the palm.
         arm: arm that carries the hand in the sink ``mujoco`` and follows the wrist: ``panda``,
             ``ur5e``, ``xarm7`` or ``iiwa14``, written as for ``teleop --arm``. The wrist and the
             arm's joints are then also observed. Empty for no arm.
@@ -47,6 +49,7 @@ class SmoothHandConfig(RobotConfig):
     keys: str = "actuated"
     unit: str = "radians"
     wrist: str = "none"
+    wrist_joints: bool = True
     arm: str = ""
     currents: bool = False
     unmeasured: str = "refuse"

@@ -17,6 +17,7 @@ from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import read_arm
@@ -202,6 +203,8 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
     if config.arm and config.wrist == "none":
         raise ValueError("an arm follows the wrist: add --robot.wrist=quaternion or rotation_6d")
     hands = {as_side(side): load_hand(config.hand, side) for side in sides}
+    if config.wrist_joints and config.wrist == "none":
+        hands = {side: with_wrist_joints(hand) for side, hand in hands.items()}
     if config.arm:
         require("an arm", "arm", "mink", "daqp")
         from smooth_operator.teleop.arm.controller import build_arms

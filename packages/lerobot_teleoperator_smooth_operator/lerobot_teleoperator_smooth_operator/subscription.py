@@ -90,12 +90,21 @@ class InProcess:
         hand: the robot hand.
         side: ``right``, ``left`` or ``both``.
         method: retargeting method; empty for the default.
+        wrist_joints: False if an arm follows the wrist, so that the hand's own wrist joints do not.
 
     Raises:
         ImportError: smooth-operator is not installed.
     """
 
-    def __init__(self, source: str, newest: Newest, hand: str, side: Any, method: str) -> None:
+    def __init__(
+        self,
+        source: str,
+        newest: Newest,
+        hand: str,
+        side: Any,
+        method: str,
+        wrist_joints: bool = True,
+    ) -> None:
         try:
             from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
             from smooth_operator.teleop import TeleopRequest, teleoperate
@@ -114,6 +123,7 @@ class InProcess:
             hand=hand,
             side=side,
             method=method,
+            wrist_joints="auto" if wrist_joints else "off",
             methods=(method,),  # compiled before the first action
         )
 

@@ -196,7 +196,14 @@ class SmoothOperator(Teleoperator):
         self._fresh_at = {}
         feed: Feed
         if config.source:
-            feed = InProcess(config.source, self._newest, config.hand, config.side, config.method)
+            feed = InProcess(
+                config.source,
+                self._newest,
+                config.hand,
+                config.side,
+                config.method,
+                wrist_joints=config.wrist == "none",
+            )
         else:
             feed = Subscription(config.address, self._newest)
         try:

@@ -16,6 +16,7 @@ from smooth_operator import Hand, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.registry import hand_names
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 from smooth_operator_devices.hands import bus_lock
@@ -51,7 +52,7 @@ _hands: dict[str, Hand] = {}
 
 def hand_of(table: ActuatorMap) -> Hand:
     if table.hand not in _hands:
-        _hands[table.hand] = load_hand(table.hand, side=table.side)
+        _hands[table.hand] = with_wrist_joints(load_hand(table.hand, side=table.side))
     return _hands[table.hand]
 
 

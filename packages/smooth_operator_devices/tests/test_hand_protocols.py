@@ -26,6 +26,7 @@ from ticks import make_tick
 from smooth_operator import Hand, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.types import JointCommand
 from smooth_operator_devices.hands.actuator_map import (
@@ -554,13 +555,20 @@ def hand() -> Hand:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_table_fits_our_model(side):
     table = read_table(built_in_tables() / f"orca_{side}.toml")
-    hand = load_hand("orca_v2", side)
+    fingers = load_hand("orca_v2", side)
+    hand = with_wrist_joints(fingers)
     bound = BoundMap(table, hand)
     assert bound.determined.all()
     low, high = hand.limits.T
     for q in (low, high):  # our model's ends are the maker's
         commands = bound.commands(bound.angles(hand.full_configuration(q)))
         assert commands == pytest.approx(bound.clip(commands), abs=0.1)
+    q = fingers.full_configuration(fingers.limits[:, 0])
+    without = BoundMap(table, fingers)  # the wrist's motor holds it straight
+    held = without.commands(without.angles(q))
+    assert held[table.names.index("wrist")] == 0.0
+    assert without.joints(held) == pytest.approx(q)
+    assert without.determined.shape == q.shape
 
 
 def test_without_orca_core_the_extra_is_named(hand, monkeypatch):

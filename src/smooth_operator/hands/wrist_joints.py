@@ -23,16 +23,16 @@ MOST_WRIST_JOINTS: Final = 2
 
 def with_wrist_joints(hand: Hand) -> Hand:
     """The same hand with its wrist joints as further actuated joints, behind all others; a hand
-    without wrist joints is returned as it is.
+    that has no wrist joints, or already has them so, is returned as it is.
 
     Raises:
         HandModelError: there are more than two wrist joints, or one of them is not a limited hinge
             above the palm.
     """
     names = hand.spec.wrist_joints
-    if not names:
-        return hand
     check_wrist_joints(hand)
+    if not names or names[0] in hand.joint_names:
+        return hand
     n, m, k = len(hand.joint_names), len(hand.actuated), len(names)
     limits = np.array([hand.model.joint(name).range for name in names])
     neutral = np.clip([hand.spec.neutral.get(name, 0.0) for name in names], *limits.T)

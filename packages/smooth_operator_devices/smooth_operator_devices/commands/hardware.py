@@ -18,6 +18,7 @@ from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.io.jsonable import numbers
 from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.sinks.tick import HandState
@@ -135,7 +136,7 @@ def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, Act
             f"{device!r} is not a real hand; smooth-operator hardware list lists the drivers"
         )
     table = sink.actuators(side, hand or "")
-    return sink, table, load_hand(hand or table.hand, side)
+    return sink, table, with_wrist_joints(load_hand(hand or table.hand, side))
 
 
 def _print_lines(sink: HardwareSink, side: Side, end: float | None) -> None:
@@ -201,7 +202,7 @@ def check_hardware(options: Check) -> None:
             raise ConfigError(
                 "--ids is for a real hand that has no table yet; name its model with --hand"
             )
-        sink, hand = device, load_hand(options.hand, options.side)
+        sink, hand = device, with_wrist_joints(load_hand(options.hand, options.side))
         ids, low, high = _ids(options.ids), *options.ends
         if not low < high:
             raise ConfigError(f"--ends must be the minimum command, then the maximum, not {low:g}")

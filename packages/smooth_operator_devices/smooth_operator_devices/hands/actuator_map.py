@@ -23,6 +23,7 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import user_hands_folder
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.settings import check_range
 from smooth_operator.types import Side
@@ -194,15 +195,17 @@ class ActuatorMap:
 class BoundMap:
     """An actuator map as arrays, for the joints of one loaded hand.
 
+    The table may have the hand's wrist joints. If the hand is loaded without them, their actuators
+    keep them in the neutral position.
+
     Args:
         actuators: the table, of a actuators.
-        hand: the hand, of n joints.
+        hand: the hand, of n joints, with or without its wrist joints.
 
     Attributes:
         table: the table.
         names: (n,) names of the model's joints.
         ends: (a, 2) lowest and highest command.
-        determined: (n,) True for a joint that the actuators determine, directly or by a coupling.
 
     Raises:
         ConfigError: the table is that of another hand, with other joints.
@@ -211,26 +214,27 @@ class BoundMap:
 
     def __init__(self, actuators: ActuatorMap, hand: Hand) -> None:
         self.table, self.names = actuators, hand.joint_names
-        count = len(actuators.actuators)
+        hand = with_wrist_joints(hand)
+        count, names = len(actuators.actuators), hand.joint_names
         self.ends = np.array([actuator.ends for actuator in actuators.actuators], float)
-        self._weights = np.zeros((count, len(self.names)))
+        self._weights = np.zeros((count, len(names)))
         for row, actuator in zip(self._weights, actuators.actuators, strict=True):
             for joint, weight in actuator.joints.items():
-                if joint not in self.names and actuators.hand != hand.name:
+                if joint not in names and actuators.hand != hand.name:
                     raise ConfigError(
                         f"{Path(actuators.file).name} is the table of the hand "
                         f"{actuators.hand!r}, but the run uses the hand {hand.name!r}: "
                         f"choose --hand {actuators.hand}, or another table with table=FILE"
                     )
-                if joint not in self.names:
+                if joint not in names:
                     raise UnknownNameError(
                         f"joint of hand {hand.name!r} in {actuators.file}:",
                         joint,
-                        self.names,
+                        names,
                         f"The table is for {actuators.hand!r}: choose it with --hand, or another "
                         "table with table=FILE.",
                     )
-                row[self.names.index(joint)] += weight
+                row[names.index(joint)] += weight
         self._curves = [_curve(actuator.points) for actuator in actuators.actuators]
         # q = p(C qa + o) of the model's own couplings, and drive angles x = W q: solved for qa,
         # with the least norm where one actuator moves several joints.
@@ -239,13 +243,20 @@ class BoundMap:
         reduced = self._weights @ self._gears
         self._inverse = np.linalg.pinv(reduced)
         touched = (self._weights @ self._gears != 0).any(axis=0)
-        self.determined: Bool[np.ndarray, " n"] = (np.abs(self._gears) @ ~touched < _KNOWN) & (
+        self._determined: Bool[np.ndarray, " w"] = (np.abs(self._gears) @ ~touched < _KNOWN) & (
             np.abs(self._gears).sum(axis=1) > 0
         )
 
+    @property
+    def determined(self) -> Bool[np.ndarray, " n"]:
+        """(n,) True for a joint that the actuators determine, directly or by a coupling."""
+        return self._determined[: len(self.names)]
+
     def angles(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " a"]:
         """(a,) drive angles [rad] of joint positions [rad]."""
-        result: np.ndarray = self._weights @ positions
+        left_out = len(self._determined) - len(positions)
+        wrist = self._hand.neutral[len(self._hand.neutral) - left_out :]
+        result: np.ndarray = self._weights @ np.concatenate([positions, wrist])
         return result
 
     def commands(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
@@ -272,7 +283,8 @@ class BoundMap:
         if self._transmission.curves:
             q = self._actuated(angles)
             return self._known(self._transmission.positions(q), ~np.isfinite(angles))
-        result: np.ndarray = self._spread(angles - self._weights @ self._offset) + self._offset
+        offset = self._offset[: len(self.names)]
+        result: np.ndarray = self._spread(angles - self._weights @ self._offset) + offset
         return result
 
     def joint_velocities(
@@ -307,12 +319,12 @@ class BoundMap:
         self, joints: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " a"]
     ) -> Float[np.ndarray, " n"]:
         """Values of joints, NaN for those that no actuator determines, or only missing ones."""
-        unknown = ~self.determined
+        unknown = ~self._determined
         if missing.any():
             lost = (np.abs(self._inverse[:, missing]) > _KNOWN).any(axis=1)
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)
         joints[unknown] = np.nan
-        return joints
+        return joints[: len(self.names)]
 
 
 _Curve: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
