@@ -58,10 +58,9 @@ def umeyama(
     """Least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
 
     The result is the best rotation, even if the best orthogonal matrix is a reflection. Coplanar
-    sets, such as three palm landmarks, are allowed. There is no branch and no LAPACK call, so the
-    function compiles into the program around it on any device: the singular vectors come from a
-    fixed number of Jacobi rotations of the 3 x 3 Gram matrix, and the third pair from cross
-    products, which makes the result proper by construction.
+    sets, such as three palm landmarks, are allowed. Without a branch or LAPACK call, the function
+    compiles into the program around it: the singular vectors come from Jacobi rotations of the
+    3 x 3 Gram matrix, and the third pair from cross products.
 
     Args:
         source: (..., n, 3) points [m].

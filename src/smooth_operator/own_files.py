@@ -1,10 +1,8 @@
 """Checks that no other user can write a folder or file, for programs and secrets.
 
 The rule is that of OpenSSH for its keys: the file and its folder belong to this user, each folder
-above to this user or root, and others can't write them. A folder above may be like ``/tmp``, whose
-sticky bit prevents others from renaming foreign files. Access control lists (ACLs) are not checked.
-On Windows, they protect a folder in the user's profile, and only the kind and size of a file are
-checked.
+above to this user or root, and others can't write them, except for a sticky folder such as
+``/tmp``. On Windows, only the kind and size of a file are checked.
 """
 
 from __future__ import annotations
@@ -34,12 +32,9 @@ def make_private(folder: Path) -> None:
 
 def folder_problem(folder: Path) -> str:
     """Reason why another user can change a folder's content, with advice; empty if nobody can.
+    OSError if the folder, or one above it, can't be read.
 
-    The check goes from the root down: below a folder that no other user can change, no other user
-    can replace the next folder. Links in the path are resolved first.
-
-    Raises:
-        OSError: the folder, or one above it, can't be read.
+    The check goes from the root down, because no other user can replace a folder in a safe one.
     """
     if not hasattr(os, "geteuid"):
         return ""
@@ -60,13 +55,8 @@ def folder_problem(folder: Path) -> str:
 
 
 def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) -> str:
-    """Reason not to use a file; empty if it is a regular file of this user and not too long.
-
-    Args:
-        status: status of the open file (``os.fstat``), or of a file in a protected folder.
-        most_bytes: largest size.
-        secret: True if others must not be able to read the file either.
-    """
+    """Reason not to use a file with this status; empty if it is a regular file of this user and not
+    too long. If it is ``secret``, others must not be able to read it either."""
     if not stat.S_ISREG(status.st_mode):
         return "it is not a plain file"
     if hasattr(os, "geteuid"):
@@ -81,10 +71,6 @@ def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) 
 
 def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
     """Read a file of this user, without following links and without waiting for a pipe.
-
-    Args:
-        path: the file.
-        most_bytes, secret: see ``file_problem``.
 
     Raises:
         OSError: there is no such file, it is a link, or it can't be read.
@@ -109,11 +95,8 @@ OFF: Final = ("off", "0", "no", "false", "none")
 
 
 def user_cache() -> Path:
-    """Folder of this program in the user's cache; it need not exist.
-
-    ``SWITCH``, or ``~/.cache/smooth-operator`` (or under ``XDG_CACHE_HOME``) on Linux,
-    ``~/Library/Caches/smooth-operator`` on macOS, ``%LOCALAPPDATA%\\smooth-operator`` on Windows.
-    """
+    """Folder of this program in the user's cache, which need not exist: ``SWITCH``, or that of
+    ``program_folder``."""
     path = os.environ.get(SWITCH, "").strip()
     if path and path.lower() not in OFF:
         return Path(path).expanduser()

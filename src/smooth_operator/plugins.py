@@ -43,12 +43,7 @@ class Entry:
     distribution: str = ""
 
     def load(self) -> Any:
-        """Imports the module and returns the object.
-
-        Raises:
-            ConfigError: there is no such module or attribute, or its module can't be imported.
-            SmoothOperatorError: its module needs an extra that is not installed.
-        """
+        """Imports the module and returns the object; SmoothOperatorError if that fails."""
         module, sign, attribute = self.target.partition(":")
         where = f"{self.target} (of {self.distribution})" if self.distribution else self.target
         if not (sign and module and attribute):
@@ -97,19 +92,15 @@ def _note_once(text: str) -> None:
 
 class Registry(Mapping[str, Entry]):
     """Registry of the parts of one kind by name: built-in parts first, then those of installed
-    distributions.
-
-    A plugin can't replace a built-in part.
+    distributions, which can't replace them.
 
     Args:
         kind: kind of part, for messages, such as ``sink``.
-        built_in: maps names to built-in parts.
+        built_in: built-in parts by name.
         needs: names of the attributes that every part must have.
-        advice: advice about a missing attribute, for the message.
-        elsewhere: maps the name of a part of another distribution to advice on how to get it, for
-            the message.
-        summaries: maps the name of a part of another distribution to its line for ``--help``, since
-            entry points have none.
+        advice: advice about a missing attribute.
+        elsewhere: name of a part of another distribution -> how to get it.
+        summaries: name of a part of another distribution -> its line for ``--help``.
     """
 
     def __init__(
@@ -143,11 +134,7 @@ class Registry(Mapping[str, Entry]):
         }
 
     def add(self, name: str, entry: Entry) -> None:
-        """Adds a part in this process only, for example one that the command line names.
-
-        Raises:
-            ConfigError: a built-in part or a different installed part has the name.
-        """
+        """Adds a part in this process only; ConfigError if another part has the name."""
         present = self.get(name)
         if present is not None and present.target != entry.target:
             raise ConfigError(f"{entry.target}: there is a {self.kind} {name!r} already; rename it")
@@ -164,16 +151,9 @@ class Registry(Mapping[str, Entry]):
         return len(self.built_in) + len(self.plugins)
 
     def split(self, text: str) -> tuple[str, str]:
-        """Splits a string into a name and the rest.
-
-        Args:
-            text: ``NAME`` or ``package.module:attribute``, optionally followed by ``:REST`` or
-                ``,REST``.
-
-        Returns:
-            The name, which may be ``package.module:attribute``, and the rest, without the
-            separator. A name in the registry takes precedence over a module of the same name.
-        """
+        """Splits ``NAME`` or ``package.module:attribute``, optionally followed by ``:REST`` or
+        ``,REST``, into the name and the rest. A name in the registry takes precedence over a module
+        of the same name."""
         name, rest = [*re.split("[:,]", text, maxsplit=1), ""][:2]
         target = _TARGET.match(text)
         if name in self or target is None or not is_target(target[0]):
@@ -182,12 +162,8 @@ class Registry(Mapping[str, Entry]):
         return (target[0], after[1:]) if not after or after[0] in ":," else (name, rest)
 
     def find(self, name: str) -> Entry:
-        """Returns the part with a name, or that of ``package.module:attribute``.
-
-        Raises:
-            UnknownNameError: there is no such name.
-            ConfigError: the name belongs to a distribution that is not installed.
-        """
+        """Returns the part with a name, or that of ``package.module:attribute``; UnknownNameError,
+        or ConfigError for a name of a distribution that is not installed."""
         if name in self:
             return self[name]
         if is_target(name):
@@ -197,12 +173,7 @@ class Registry(Mapping[str, Entry]):
         raise UnknownNameError(self.kind, name, self)
 
     def load(self, name: str) -> Any:
-        """Imports and returns the object with a name, or that of ``package.module:attribute``.
-
-        Raises:
-            UnknownNameError: there is no such name.
-            ConfigError: its module can't be imported, or lacks the attribute.
-        """
+        """Imports and returns the object with a name; errors as ``find`` and ``Entry.load``."""
         entry = self.find(name)
         if name in self:
             return entry.load()
@@ -212,13 +183,8 @@ class Registry(Mapping[str, Entry]):
             raise ConfigError(f"{error}. Available {self.kind}s: {', '.join(self)}") from error
 
     def loadable(self, load: Callable[[str], _Part] | None = None) -> dict[str, _Part]:
-        """Maps the name of every part to its object; skips parts of plugins that can't be loaded.
-
-        For each skipped part, a note is printed once on standard error.
-
-        Args:
-            load: returns the object of a name. Default: ``Registry.load``.
-        """
+        """Maps the name of every part to its object, by ``load`` or ``Registry.load``; skips parts
+        of plugins that can't be loaded, with a note on standard error."""
         parts: dict[str, _Part] = {}
         for name in self:
             try:
@@ -230,11 +196,7 @@ class Registry(Mapping[str, Entry]):
         return parts
 
     def check(self, name: str, part: object) -> None:
-        """Refuses an object or class that lacks an attribute of this kind of part.
-
-        Raises:
-            ConfigError: an attribute in ``needs`` is missing, or a method of the class is abstract.
-        """
+        """ConfigError for an object that lacks an attribute in ``needs``, or an abstract class."""
         missing = (
             sorted(getattr(part, "__abstractmethods__", ()))
             if isinstance(part, type)

@@ -16,11 +16,7 @@ LARGEST: Final = 1e9
 
 
 def check_frame_rate(rate: float | None) -> None:
-    """Raise an error for an implausible frame rate [Hz]; None is accepted.
-
-    Raises:
-        ConfigError: the rate is outside ``RATE_RANGE_HZ``, or NaN.
-    """
+    """ConfigError for a frame rate outside ``RATE_RANGE_HZ`` [Hz]; None is accepted."""
     low, high = RATE_RANGE_HZ
     if rate is not None and not low <= rate <= high:
         raise ConfigError(f"rate must be {low:g} to {high:g} frames per second, not {rate:g}")
@@ -32,22 +28,15 @@ def is_off(setting: object) -> bool:
 
 
 def check_choice(config: object, name: str, options: Iterable[str]) -> None:
-    """Check that a field of a configuration is one of the allowed words.
-
-    Raises:
-        ConfigError: it is not; the message names the field and the allowed words.
-    """
+    """ConfigError if a field of a configuration is not one of the allowed words."""
     value, words = getattr(config, name), [repr(option) for option in options]
     if repr(value) not in words:
         raise ConfigError(f"{name} must be {' or '.join(words)}, not {value!r}")
 
 
 def check_range(name: str, value: object, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number outside ``low`` to ``high``, or NaN. None and traced values are accepted.
-
-    Raises:
-        ConfigError: the number is outside; the message names the setting, its range and the number.
-    """
+    """ConfigError for a number outside ``low`` to ``high``, or NaN; None and traced values are
+    accepted."""
     if isinstance(value, int | float) and not low <= value <= high:
         unit = f" {unit}" if unit else ""
         raise ConfigError(f"{name} must be {low:g} to {high:g}{unit}, not {value}")

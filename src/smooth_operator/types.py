@@ -23,11 +23,8 @@ Side: TypeAlias = Literal["right", "left"]
 
 
 def as_side(value: str) -> Side:
-    """Normalise a side label: ``right``/``R``/``RIGHT`` and ``left``/``L``/``LEFT``.
-
-    Raises:
-        ConfigError: the label is anything else.
-    """
+    """Normalise a side label, ``right``/``R``/``RIGHT`` or ``left``/``L``/``LEFT``; ConfigError for
+    anything else."""
     sides = {label: name for name in get_args(Side) for label in (name, name[0])}
     try:
         return cast(Side, sides[value.strip().lower()])
@@ -130,11 +127,7 @@ class HandFrame:
 
     @property
     def time(self) -> float:
-        """Timestamp of the frame [s], which must be present.
-
-        Raises:
-            RecordingError: the frame has no timestamp.
-        """
+        """Timestamp of the frame [s]; RecordingError without one."""
         if self.stamp is None:
             raise RecordingError(
                 "the hand frame has no timestamp; set the time of the measurement in "
@@ -273,8 +266,7 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class CommandTrajectory:
-    """A sequence of joint commands with timestamps, latencies and status; the content of
-    ``OUT.npz``.
+    """A sequence of joint commands with timestamps, latencies and status.
 
     Attributes:
         joint_positions: (T, n) positions of all joints in the model's order, coupled ones included

@@ -1,8 +1,5 @@
-"""Targets and penalties of AKO, "Analyzing Key Objectives" (Xin et al. 2025).
-
-The closer a finger is to the thumb, the lower the weight of the wrist vectors, by a sigmoid instead
-of DexPilot's latch. The penalty is smooth-L1 of the weight times the length of an error.
-"""
+"""Targets and penalties of AKO, "Analyzing Key Objectives" (Xin et al. 2025): a sigmoid of the
+distance to the thumb instead of DexPilot's latch, and smooth-L1 of the weighted error's length."""
 
 from __future__ import annotations
 

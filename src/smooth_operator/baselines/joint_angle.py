@@ -1,8 +1,7 @@
 """The joint-angle method: a linear map from human joint angles to robot joints.
 
-It is the oldest and fastest method of retargeting. It has no search and no memory, so it has no lag
-and no wrong minima, but fingertip positions can differ from the human's. Commands are clipped to
-the limits.
+It has no search and no memory, so no lag and no wrong minima, but fingertip positions can differ
+from the human's. Commands are clipped to the limits.
 
 *The angles* are those of 21 landmarks, of a human hand or of a robot hand. They are signed, in
 radians, and equal for a left hand and its mirror image. The palm has three directions: *distal* (to
@@ -22,14 +21,10 @@ Thumb, from the three bones CMC-MCP, MCP-IP, IP-tip:
 - ``thumb_flexion``, ``thumb_abduction``: direction from the CMC joint to the tip, as the rotation
   vector from *distal*: flexion towards the little finger's side about *palmar*, abduction away
   from the palm about *radial*. The direction to the tip is used, not that of the metacarpal,
-  because human and robot thumbs differ most in the relative lengths of their bones. With the
-  metacarpal, the mimic hand's thumb keyvectors had a mean cosine of 0.58 instead of 0.82 in pinches
-  with a glove, and 0.47 instead of 0.86 on GeoRT's training set.
+  because human and robot thumbs differ most in the relative lengths of their bones.
 - ``thumb_mcp``, ``thumb_ip``: angle between a bone and the previous one, in the plane of the
   metacarpal and the direction to the base of the little finger, 27 degrees distal of ulnar, in
   which a thumb flexes (Kapandji 1986).
-
-Every angle is an arc tangent of two components, so a straight finger is not a special case.
 
 *The map* has a row for each joint: position = offset + sum of gain x angle. Rows that are not in a
 hand's description are measured on the robot: its landmarks have the same angles as a human hand, so
@@ -126,12 +121,7 @@ class JointAngleConfig(MethodConfig):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
 
     def build(self, hand: Hand) -> JointAngle:
-        """The method for one hand.
-
-        Raises:
-            HandModelError: the hand has no map and none can be derived.
-            UnknownNameError: its map names an unknown joint or angle.
-        """
+        """The method for one hand; errors as ``JointAngleMap``."""
         method = JointAngle(hand, self)
         _ = method.map  # raises its errors here
         return method
@@ -200,13 +190,9 @@ def joint_map(hand: Hand) -> tuple[JointMap, ...]:
 
     Rows of the hand's description are used unchanged. The others are derived: the effects of each
     joint on each angle, as medians over poses across the joints' ranges, form a matrix, and its
-    pseudo-inverse gives the gains. A joint that alone moves one angle follows that angle; joints
-    that move the same angles, as at a thumb's base, share them. A joint that bends two phalanges
-    follows both by least squares (half of each if it bends both equally), so that the curl of the
-    whole finger matches the human's. Following only the proximal phalanx gave a thumb cosine up to
-    0.03 higher, but a motion less like the human's: on a glove's first 500 frames, a velocity
-    correlation of 0.88 instead of 0.92, and a flatness of 1.24e-5 instead of 0.99e-5 m^2. The
-    offset maps the neutral pose's angles to that pose. A joint that moves no angle stays neutral.
+    pseudo-inverse gives the gains. Joints that move the same angles, as at a thumb's base, share
+    them; a joint that bends two phalanges follows both by least squares. The offset maps the
+    neutral pose's angles to that pose. A joint that moves no angle stays neutral.
 
     Raises:
         HandModelError: a joint without a row moves a finger without all four landmarks.
@@ -432,9 +418,8 @@ class PublishedAngles:
     """Joint-angle map of the paper's authors, which gives the start of their hybrid baseline.
 
     Each finger is a chain of frames from the wrist, with y axes along the bones and x axes as close
-    as possible to those of the parent. A joint follows one Euler angle of one frame. The authors
-    published the map for the joints of the mimic P0.50 hand. A joint that drives another one takes
-    half of the angle, as in their code, which divides it among the joints that share it.
+    as possible to those of the parent. A joint of the mimic P0.50 hand follows one Euler angle of
+    one frame; a joint that drives another one takes half of the angle.
 
     Attributes:
         needs: human landmarks that the map uses: all 21.

@@ -1,8 +1,7 @@
 """Sequential least-squares quadratic programming (SLSQP; Kraft 1988) within bounds, by SciPy.
 
-The published methods use it with at most 20 iterations. The result is the last point. If the limit
-of iterations ends a frame, this point is not a minimum, and the next frame continues from it, so
-the limit acts as a filter.
+The published methods use at most 20 iterations. If the limit ends a frame, the result is not a
+minimum, and the next frame continues from it, so the limit acts as a filter.
 """
 
 from __future__ import annotations
@@ -63,11 +62,8 @@ def slsqp_minimise(
     from scipy.optimize import minimize  # here, since the import takes half a second
 
     low, high = limits[:, 0], limits[:, 1]
-    evaluations = 0
 
     def evaluate(x: np.ndarray) -> tuple[float, np.ndarray]:
-        nonlocal evaluations
-        evaluations += 1
         both = objective(x).astype(np.float64)
         return float(both[0]), both[1:]
 
@@ -83,4 +79,4 @@ def slsqp_minimise(
     x = np.clip(np.asarray(solution.x, np.float64), low, high)
     value = float(solution.fun)
     finite = math.isfinite(value) and bool(np.isfinite(x).all())
-    return SlsqpResult(x, value if finite else math.nan, evaluations)
+    return SlsqpResult(x, value if finite else math.nan, solution.nfev)

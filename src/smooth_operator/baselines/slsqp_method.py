@@ -1,11 +1,8 @@
-"""Optimisation-based methods: SLSQP minimises an objective from a warm start.
+"""DexPilot, AKO, the keyvector method and its hybrid: SLSQP minimises an objective in each frame.
 
 Preset ``published`` uses SLSQP alone, with the settings of the paper's authors. Preset ``fast``
-first makes Newton steps in the compiled program, with the objective's exact Hessian, which SLSQP
-estimates again in every frame. SLSQP continues from their result, unless it is a minimum.
-
-DexPilot, AKO, the keyvector method and its hybrid with joint angles differ only in their targets,
-penalties, weights and starting point.
+first makes Newton steps in the compiled program; SLSQP continues from their result, unless it is a
+minimum. The methods differ only in targets, penalties, weights and starting point.
 """
 
 from __future__ import annotations
@@ -62,12 +59,10 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
         objective: targets, loss and weights.
         solver: stopping conditions of SLSQP.
         start: start of the search: ``previous`` for the last command, or ``published_angles`` for
-            the joint angles of the paper's authors, which exist for the mimic hand. Other hands use
-            the command of the method ``joint_angle``.
+            the joint angles of the paper's authors; those of ``joint_angle`` on other hands.
         approach: Newton steps before SLSQP; without iterations, SLSQP alone.
-        optimality: largest component of the gradient at which the result of the Newton steps counts
-            as a minimum, so that SLSQP is left out. Components that push against a limit do not
-            count.
+        optimality: largest component of the gradient within the limits at which the result of the
+            Newton steps counts as a minimum, so that SLSQP is left out.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -82,12 +77,8 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
         check_choice(self, "start", ("previous", "published_angles"))
 
     def build(self, hand: Hand) -> SlsqpMethod:
-        """The method for one hand.
-
-        Raises:
-            ConfigError: the hand lacks points that the targets need.
-            SmoothOperatorError: the start needs a map of joint angles that the hand does not have.
-        """
+        """The method for one hand; SmoothOperatorError if the hand lacks points or a map of joint
+        angles that it needs."""
         method = SlsqpMethod(hand, self)
         _ = method.needs  # raises its errors here
         return method
@@ -185,9 +176,8 @@ class SlsqpMethod(Method):
 
     @cached_property
     def evaluate(self) -> Callable[[Float[np.ndarray, " n"]], Float[Array, " 1+m"]]:
-        """Compiled function from a ``packed`` point and goal to value and gradient, with one array
-        as input and one as output, because each costs 2 to 5 us. It uses the unrolled kinematics of
-        ``SampledObjective``."""
+        """Compiled function from a ``packed`` point and goal to value and gradient, in one array
+        each, because each costs 2 to 5 us."""
         count, joints = len(self.objective.layout.vectors), len(self.hand.neutral)
         ends = np.cumsum([joints, 3 * count, count, joints])
 

@@ -1,10 +1,8 @@
 """Capsules of a hand's parts, and the pairs of capsules that must not overlap.
 
-The solver, the measure of self-collision, ``hands check`` and the pictures all use this
-description. A capsule is two points and a radius, so its distance from another is cheap, and
-differentiable with respect to the points. Most collision shapes of the built-in hands are
-capsules; other shapes are filled with them (``shape_capsules``), and a link whose shapes can't be
-read has estimated ones (``smooth_operator.hands.stand_ins``).
+A capsule is two points and a radius, so its distance from another is cheap, and differentiable with
+respect to the points. Other shapes are filled with capsules (``shape_capsules``), and a link whose
+shapes can't be read has estimated ones (``smooth_operator.hands.stand_ins``).
 """
 
 from __future__ import annotations
@@ -70,8 +68,7 @@ class CapsulePairs:
         self, q: Float[np.ndarray, "T n"]
     ) -> Iterator[tuple[slice, Float[np.ndarray, "t P"]]]:
         """Overlap of each pair [m] at (T, n) positions of all joints [rad], for some poses at a
-        time, so that a model of many shapes fits into memory; minus infinity where two capsules
-        are far apart."""
+        time; minus infinity where two capsules are far apart."""
         at = [self.tree.names.index(name) for name in self.names]
         size = max(1, _BLOCK // max(len(self.pairs), 1))
         for start in range(0, len(q), size):
@@ -119,12 +116,8 @@ def hand_capsules(hand: Hand) -> list[Capsule]:
 
 @lru_cache(maxsize=8)
 def parts_apart(hand: Hand) -> CapsulePairs:
-    """All pairs of a hand's capsules whose overlap is a self-collision.
-
-    They are on two fingers, or on a finger and the palm. The pairs do not include joined parts,
-    pairs that the model excludes from collision, and shapes that overlap in the neutral pose, such
-    as those around a knuckle.
-    """
+    """All pairs of a hand's capsules whose overlap is a self-collision: those of
+    ``candidate_pairs`` whose shapes do not overlap in the neutral pose."""
     capsules = hand_capsules(hand)
     pairs = candidate_pairs(hand, capsules)
     shapes = np.array([capsule.geom for capsule in capsules], int)
@@ -216,10 +209,8 @@ def segments_apart(
 
 
 def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
-    """The capsule with the palm as its body if its own body does not hang from the palm.
-
-    Such a body is a forearm without a wrist joint, to which the palm is fixed.
-    """
+    """The capsule with the palm as its body if its own body, such as a forearm, does not hang from
+    the palm."""
     model = hand.model
     palm, body = model.body(hand.spec.palm).id, capsule.body
     while body not in (0, palm):

@@ -24,11 +24,8 @@ _RING: Final = 10  # number of them
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
-    """(g,) mask of the hand's colliding shapes, without those of an arm or a second hand.
-
-    Shapes collide by their masks or as a declared pair. If none does, the shapes of the groups 3
-    and 4 count, which models use for collision.
-    """
+    """(g,) mask of the hand's shapes that collide, by their masks or as a declared pair. If none
+    does, the shapes of the groups 3 and 4 count, which models use for collision."""
     model = hand.model
     own = hand.bodies[model.geom_bodyid]
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -49,11 +46,8 @@ def lacking_parts(hand: Hand) -> set[int]:
 
 
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
-    """Index of each body's finger in ``FINGERS``, or ``PALM``.
-
-    A finger consists of the bodies between palm and fingertip that it shares with no other finger,
-    and of all bodies that hang from them.
-    """
+    """Index of each body's finger in ``FINGERS``, or ``PALM``. A finger consists of the bodies
+    from palm to fingertip that it shares with no other finger, and of all that hang from them."""
     model = hand.model
     palm = model.body(hand.spec.palm).id
     chains = []
@@ -96,12 +90,8 @@ class Capsule:
 
 
 def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
-    """Capsules that fill a shape from within.
-
-    A capsule or a sphere stays as it is; a slender cylinder or a rod-shaped mesh becomes one
-    capsule. A wide cylinder becomes a ring of capsules around a core. A box or a flat mesh becomes
-    a row of parallel capsules, each as thick as the part is at that place.
-    """
+    """Capsules that fill a shape from within: one for a capsule, a sphere, a slender cylinder or a
+    rod-shaped mesh; a ring around a core for a wide cylinder; a row for a box or a flat mesh."""
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])

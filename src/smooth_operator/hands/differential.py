@@ -1,9 +1,7 @@
 """Keypoints of a single pose with their first and second derivatives.
 
-The unrolled ``KinematicTree.forward_kinematics`` suits thousands of candidates. A Newton step needs
-one pose with derivatives, and a small program: this module sweeps the tree level by level in
-batched 3 x 3 products, and takes the derivatives from the geometry of hinges rather than from
-automatic differentiation. With axis a_j and arm r_fj from joint j to point f:
+This module sweeps the tree level by level, which gives a small program, and takes the derivatives
+from the geometry of hinges. With axis a_j and arm r_fj from joint j to point f:
 
     dp_f / dq_j           = a_j x r_fj                     (a_j for a slide)
     d2p_f / (dq_i dq_j)   = a_i x (a_j x r_fj)             for hinge i above or equal to j
@@ -192,10 +190,8 @@ def before_curves(
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
-    """``values @ matrix`` for a constant (J, m) matrix with few entries in a column, as sums.
-
-    A matrix product would cost a call of XLA's library.
-    """
+    """``values @ matrix`` for a constant (J, m) matrix with few entries in a column, as sums,
+    without a call of XLA's library."""
     most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
     rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # nonzero entries first
     gains = np.take_along_axis(matrix, rows, axis=0)

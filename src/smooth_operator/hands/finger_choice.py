@@ -16,9 +16,6 @@ def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
     The alignment keeps its landmarks if all remain. Otherwise it uses the thumb and the first
     and last of the other fingers, or, with two fingers, these and the wrist.
 
-    Args:
-        fingers: the fingers; the thumb must be among them, driven by the human thumb.
-
     Raises:
         UnknownNameError: the hand, or a human, has no such finger.
         HandModelError: fewer than two fingers, no thumb, or one human finger drives two.

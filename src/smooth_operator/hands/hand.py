@@ -101,15 +101,12 @@ class Hand:
 
     @cached_property
     def bodies(self) -> Bool[np.ndarray, " nbody"]:
-        """(nbody,) mask of the hand's bodies in the model, to draw and to check for collisions."""
+        """(nbody,) mask of the hand's bodies in the model."""
         return own_bodies(self.model, self.model.body(self.spec.palm).id)
 
     def qpos(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch nq"]:
-        """Positions of the whole model; joints outside the hand stay at their reference.
-
-        Args:
-            q_all: (..., n) positions of all joints of the hand [rad].
-        """
+        """Positions of the whole model, from (..., n) positions of all joints of the hand [rad];
+        joints outside the hand stay at their reference."""
         q_all = np.asarray(q_all, float)
         qpos = np.tile(np.asarray(self.model.qpos0, float), (*q_all.shape[:-1], 1))
         qpos[..., self._addresses] = q_all
@@ -134,11 +131,9 @@ class Hand:
 
     @cached_property
     def straight_pose(self) -> StraightPose:
-        """The pose nearest to neutral in which all fingers reach furthest from their bases.
-
-        It is found by ``_ROUNDS`` coordinate searches over the joints' ranges. A joint that does
-        not extend the reach (a spread) or moves a knuckle (``knuckle_joints``) stays at neutral.
-        """
+        """The pose nearest to neutral in which all fingers reach furthest from their bases, found
+        by coordinate searches. Joints that do not extend the reach or move a knuckle
+        (``knuckle_joints``) stay at neutral."""
         q = self.neutral.copy()
         extending = np.flatnonzero(~knuckle_joints(self))
         for _ in range(_ROUNDS):
@@ -308,10 +303,8 @@ def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[in
 
 
 def _commanded(model: mujoco.MjModel, own: tuple[int, ...], tree: KinematicTree) -> set[int]:
-    """The hand's joints with an actuator; all joints of a hand without actuators, as in URDFs.
-
-    Joints that turn without limits and move no landmark, such as a knob, are left out.
-    """
+    """The hand's joints with an actuator, or all joints of a hand without actuators; without joints
+    that turn endlessly and move no landmark, such as a knob."""
     moving = {own[joint.source] for joint in tree.joints}
     endless = {j for j in own if not model.jnt_limited[j]} - moving
     return (driven_joints(model) & set(own) or set(own)) - endless
@@ -367,11 +360,8 @@ def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
 
 
 def own_bodies(model: mujoco.MjModel, palm: int) -> Bool[np.ndarray, " nbody"]:
-    """(nbody,) mask of the hand's bodies: the palm, all bodies below it, and its base.
-
-    The base consists of the bodies to which the palm is fixed without a joint, and of bodies fixed
-    to these that carry no joint; fingers of a second hand on the same base are left out.
-    """
+    """(nbody,) mask of the hand's bodies: the palm, all bodies below it, and those to which the
+    palm is fixed, without bodies that carry other joints, such as a second hand's."""
     below = _below(model, palm)
     rigid = np.asarray(model.body_weldid == model.body_weldid[palm])
     carries = np.zeros(model.nbody, bool)  # a joint, on it or further out
@@ -416,11 +406,8 @@ class StraightPose(NamedTuple):
 
 
 def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
-    """(m,) mask of the actuated joints that move the knuckle of a long finger itself.
-
-    They lie between the part that carries the finger's base landmark, often the palm, and the joint
-    whose axis passes nearest to it: metacarpal joints, and spread joints behind the knuckle.
-    """
+    """(m,) mask of the actuated joints that move the knuckle of a long finger itself: those between
+    its base landmark and the joint whose axis passes nearest to it."""
     q, tree, data = np.clip(0.0, *hand.limits.T), hand.tree, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(q))
     mujoco.mj_kinematics(hand.model, data)

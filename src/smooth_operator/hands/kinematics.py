@@ -1,15 +1,12 @@
 """Batched keypoint positions of a tree of joints, unrolled at trace time.
 
-A hand's tree is small and constant, so it is not interpreted at run time: for every keypoint the
-chain of joints above it is written out as straight-line arithmetic over arrays whose *last* axis
-is the batch, and a vector is rotated joint by joint from the keypoint to the palm. No rotation
-matrix is formed. A compiler can therefore fuse the forward kinematics of thousands of hands into
-one loop of vector instructions, on a CPU as on a GPU.
+For every keypoint the chain of joints above it is written out as straight-line arithmetic over
+arrays whose *last* axis is the batch, so that a compiler can fuse the forward kinematics of
+thousands of hands into one loop of vector instructions.
 
-The constants between joints are put in the form of Denavit and Hartenberg: every joint turns about
-its own z axis, and the rotation between two joints is factored Rz(a) Rx(b) Rz(c), whose z parts are
-added to the joint angles on either side. What remains is Rx(b), with four products instead of
-nine, and none where axes are parallel, as in a finger.
+The constants between joints have the form of Denavit and Hartenberg: every joint turns about its
+own z axis, and the z parts of the rotation Rz(a) Rx(b) Rz(c) between two joints are added to the
+joint angles on either side, which leaves Rx(b) with four products.
 """
 
 from __future__ import annotations
@@ -86,15 +83,8 @@ class KinematicTree:
         return tuple(self.keypoints)
 
     def positions(self, q: Float[AnyKind, "*batch n"]) -> Float[AnyKind, "*batch k 3"]:
-        """Positions of all keypoints in the palm frame.
-
-        Args:
-            q: (..., n) positions of *all* joints [rad], coupled ones included. A NumPy array is
-                computed on the host in float64, without compiling.
-
-        Returns:
-            (..., k, 3) positions [m], in the order of ``names``; differentiable in q.
-        """
+        """(..., k, 3) positions of all keypoints in the palm frame [m], in the order of ``names``,
+        at (..., n) positions of *all* joints [rad]; NumPy or JAX, differentiable."""
         xp = array_namespace(q)
         batch = q.shape[:-1]
         flat = q.reshape(-1, self.num_joints).T

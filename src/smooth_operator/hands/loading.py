@@ -1,8 +1,8 @@
 """Loader of MJCF and URDF files: a compiled MuJoCo model with the couplings that it declares.
 
-MuJoCo's compiler reads both formats. This module adds URDF ``mimic`` (which MuJoCo drops), names of
-files that it does not resolve (``package://``), models whose meshes are missing or far too large
-(kinematics does not need them), corrected inertias, and mirroring of a right hand into a left one.
+MuJoCo's compiler reads both formats. This module adds URDF ``mimic``, names of files that MuJoCo
+does not resolve, models whose meshes are missing or far too large, corrected inertias, and
+mirroring of a right hand into a left one.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
 
 
 def _model_files(path: Path) -> tuple[Path, ModelFiles | None]:
-    """The path for MuJoCo, which takes ``link/..`` for nothing, and the files of a model, within
-    bounds; None for a built-in model, which is one small file."""
+    """The path for MuJoCo, which takes ``link/..`` for nothing, and the files of a model; None for
+    a built-in model, which is one file."""
     if path.parent == MODELS:
         return path, None
     from smooth_operator.hands.model_assets import model_path, read_model_files
@@ -189,11 +189,7 @@ def _name_all(spec: mujoco.MjSpec) -> None:
 
 
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
-    """The model that ``load_model`` compiles, in editable form, possibly without its meshes.
-
-    Raises:
-        HandModelError: MuJoCo can't compile it.
-    """
+    """The model that ``load_model`` compiles, in editable form; HandModelError if that fails."""
     path, files = _model_files(path)
     read = partial(_read, path, files, mirror)
     spec = read()
@@ -252,10 +248,8 @@ def merged_couplings(
 
 
 def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
-    """The coupling, or that of the other sign if only that one leaves its joints room to move.
-
-    Vendors mirror a hand's joints and forget a mimic's sign, or the other way round.
-    """
+    """The coupling, or that of the other sign if only that one leaves its joints room to move,
+    because vendors forget a sign when they mirror a hand."""
     ids = [
         mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         for name in (coupling.joint, coupling.follows)
@@ -290,11 +284,8 @@ def shared_range(
 
 
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
-    """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
-
-    The joint without an actuator follows. If the polynomial has a higher degree than 1, q1 follows
-    in any case, because the inverse is not a polynomial; q2 then counts as driven.
-    """
+    """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ... The joint without an
+    actuator follows; q1 follows if the degree is higher than 1."""
     actuated = _actuated(model)
     couplings = []
     for i in range(model.neq):
@@ -322,12 +313,8 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
 
 
 def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]:
-    """Couplings from driven fixed tendons of length sum c_i q_i; the first joint leads.
-
-    The joints share the tendon's travel by their springs and friction. If these are equal, the
-    tendon's pull c_i f bends each joint by its share, q_i ~ c_i: joints of equal c turn by equal
-    angles.
-    """
+    """Couplings from driven fixed tendons of length sum c_i q_i; the first joint leads. If springs
+    and friction are equal, the tendon bends each joint in proportion to c_i."""
     couplings = []
     for joints, shares in _driven_tendons(model):
         lead = model.joint(joints[0]).name
@@ -338,11 +325,8 @@ def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]
 
 
 def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]]:
-    """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first;
-    joints that an equality makes follow another one are last.
-
-    Skips joints that have their own actuator or that an earlier tendon drives.
-    """
+    """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first,
+    followers last; without joints that have an actuator or that an earlier tendon drives."""
     joints, tendons = _actuated(model), []
     held = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 != 0)
     led = {int(j) for j in model.eq_obj1id[held]} - joints
@@ -377,15 +361,11 @@ def _actuated(model: mujoco.MjModel) -> set[int]:
 
 
 def mirror_spec(spec: mujoco.MjSpec) -> None:
-    """Reflect a model across the x = 0 plane of every local frame, in place.
+    """Reflect a model across the x = 0 plane of every local frame, in place; HandModelError if it
+    has meshes.
 
-    A reflection turns positions (x, y, z) into (-x, y, z) and rotations (w, x, y, z) into
-    (w, x, -y, -z). A hinge axis is a pseudo-vector: (x, y, z) becomes (x, -y, -z), so that the same
-    joint angle gives the mirrored pose and limits keep their sign; a slide's axis is an ordinary
-    vector.
-
-    Raises:
-        HandModelError: the model has meshes, which can't be mirrored.
+    A hinge axis is a pseudo-vector: (x, y, z) becomes (x, -y, -z), so that the same joint angle
+    gives the mirrored pose and limits keep their sign; a slide's axis is an ordinary vector.
     """
     if list(spec.meshes):
         raise HandModelError(

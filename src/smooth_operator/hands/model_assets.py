@@ -71,12 +71,8 @@ class ModelFiles:
 
 
 def model_path(path: Path) -> Path:
-    """The absolute path of a model file, without ``..``. Links to its folder are followed, as the
-    system does for ``..``. A link to the file is not, because its meshes lie beside the link.
-
-    Raises:
-        HandModelError: the path is not UTF-8, which MuJoCo and spec files need.
-    """
+    """The absolute path of a model file, without ``..``; HandModelError if it is not UTF-8. Links
+    to its folder are followed. A link to the file is not: its meshes lie beside the link."""
     whole = Path(os.path.realpath(path.parent), path.name)
     try:
         str(whole).encode("utf-8")
@@ -117,11 +113,7 @@ def read_model_files(path: Path) -> ModelFiles:
 
 
 def _drop_inertias(root: ElementTree.Element) -> tuple[str, ...]:
-    """Removes the inertias of a URDF that MuJoCo refuses, since kinematics needs none.
-
-    Returns:
-        names of their links.
-    """
+    """Removes the inertias of a URDF that MuJoCo refuses, and returns the names of their links."""
     names = []
     for link in root.iter("link"):
         inertial = link.find("inertial")
@@ -270,11 +262,7 @@ _MARKS: Final = {
 
 
 def read_model_xml(path: Path) -> ElementTree.Element:
-    """The root element of a model file.
-
-    Raises:
-        HandModelError: there is no such file, it can't be read, or it is not MJCF or URDF.
-    """
+    """The root element of a model file; HandModelError if it can't be read, or is no model."""
     if not is_file(path):
         raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
     try:
@@ -305,11 +293,8 @@ def read_model_xml(path: Path) -> ElementTree.Element:
 
 
 def decode_xml(data: bytes, path: Path) -> str:
-    """The text of an XML file without its declaration, by the encoding that it declares.
-
-    Raises:
-        HandModelError: the encoding is unknown, or does not fit the bytes.
-    """
+    """The text of an XML file without its declaration, by the encoding that it declares;
+    HandModelError if that is unknown, or does not fit the bytes."""
     declared = _DECLARED.match(data)
     encoding = declared.group(1).decode("ascii") if declared else "utf-8"
     encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), encoding)
@@ -334,13 +319,9 @@ def decode_xml(data: bytes, path: Path) -> str:
 def _places(
     name: str, model: Path, folders: Iterable[Path], listings: dict[Path, dict[str, str]]
 ) -> Iterator[Path]:
-    """Possible places of a file, the most likely first.
-
-    First the places where MuJoCo looks for it. Then the last parts of its path, the most parts
-    first, in the folders above the model: this finds ``package://NAME/rest``, whether or not the
-    package's folder has that name, and paths of another machine. The same without percent escapes,
-    and finally without regard to upper and lower case.
-    """
+    """Possible places of a file, the most likely first: those where MuJoCo looks for it, then the
+    last parts of its path in the folders above the model, as for ``package://NAME/rest``. The same
+    without percent escapes, and finally without regard to upper and lower case."""
     plain = re.sub(r"^[A-Za-z][A-Za-z0-9+.-]+:(//)?", "", name.replace("\\", "/"))
     plain = re.sub(r"^/(?=[A-Za-z]:/)", "", plain)  # file:///C:/...
     spellings = tuple(dict.fromkeys((name, plain, unquote(plain))))

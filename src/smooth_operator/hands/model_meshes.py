@@ -39,9 +39,7 @@ class CompiledModel(NamedTuple):
 def compile_with_meshes(
     path: Path, files: ModelFiles, read: Callable[[], mujoco.MjSpec]
 ) -> CompiledModel:
-    """Compiles a model with as many of its meshes as possible.
-
-    Kinematics needs no mesh, so a mesh that can't be read is no reason to refuse a model.
+    """Compiles a model with as many of its meshes as possible, since kinematics needs none.
 
     Args:
         path: the model file, for messages.
@@ -124,11 +122,8 @@ def _unreadable_meshes(spec: mujoco.MjSpec, absent: Container[str]) -> frozenset
 
 
 def drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
-    """Removes some meshes, and every terrain, skin and texture, from a model.
-
-    Returns:
-        names of the bodies that lost a colliding shape.
-    """
+    """Removes some meshes, and every terrain, skin and texture, from a model, and returns the names
+    of the bodies that lost a colliding shape."""
     lost = []
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     gone_geoms = set()
@@ -151,11 +146,8 @@ def drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
 
 
 def _oversize(model: mujoco.MjModel) -> tuple[frozenset[str], str]:
-    """Meshes of another unit than the links: over ``_TIMES`` as long as their whole chain.
-
-    Returns:
-        their names (none if no such mesh is on a moving body), and the problem as a text.
-    """
+    """Names of the meshes of another unit than the links, over ``_TIMES`` as long as their whole
+    chain, if one is on a moving body; and the problem as a text."""
     parents = model.body_parentid
     step = np.linalg.norm(model.body_pos, axis=1)
     step[parents == 0] = 0.0  # the place of the model in the world is no length of the model

@@ -29,12 +29,8 @@ SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
 
 
 def user_hands_folder() -> Path:
-    """Folder of the user's spec files; it need not exist.
-
-    It is ``SWITCH`` if that is set, otherwise ``hands`` in the program's settings folder:
-    ``~/.config/smooth-operator`` (or under ``XDG_CONFIG_HOME``) on Linux, ``~/Library/Application
-    Support/smooth-operator`` on macOS, ``%APPDATA%\\smooth-operator`` on Windows.
-    """
+    """Folder of the user's spec files, which need not exist: ``SWITCH``, or ``hands`` in the
+    program's settings folder (``program_folder``)."""
     path = os.environ.get(SWITCH, "").strip()
     if path:
         return Path(path).expanduser()
@@ -89,11 +85,7 @@ class HandEntry:
         return tuple(side for side in sides if side not in self.files)
 
     def spec(self, side: Side) -> HandSpec:
-        """Description of one side.
-
-        Raises:
-            HandModelError: its file can't be used.
-        """
+        """Description of one side; HandModelError if its file can't be used."""
         mirrored = side in self.mirrored
         own = next(iter(self.files)) if mirrored else side
         spec = read_hand_spec(self.files[own])
@@ -112,12 +104,8 @@ class HandEntry:
 
 
 def known_hands() -> dict[str, HandEntry]:
-    """All hands by name: the built-in ones, those of plugins, the user's own.
-
-    The user's folder is read at each call. A user's hand with the name of another hand is left out;
-    ``load_hand`` refuses such a name. A hand of a plugin that can't be loaded is left out, with a
-    note on standard error.
-    """
+    """All hands by name: the built-in ones, those of plugins that can be loaded, the user's own
+    whose names are not taken."""
     entries = HANDS.loadable(_registered)
     for name, files in find_specs(user_hands_folder()).items():
         entries.setdefault(name, HandEntry(name, files, builtin=False))
@@ -130,10 +118,7 @@ def hand_names() -> tuple[str, ...]:
 
 
 def find_hand(name: str) -> HandEntry:
-    """A hand of the registry.
-
-    Args:
-        name: its name, or ``package.module:attribute`` of the path of a spec file or folder.
+    """A hand of the registry, or that of ``package.module:attribute``.
 
     Raises:
         UnknownNameError: there is no hand of that name.
@@ -194,18 +179,8 @@ def load_hand(
 
 
 def default_side(hand: str | Path | HandSpec) -> Side:
-    """Side of a hand that ``load_hand`` loads by default.
-
-    Args:
-        hand: as for ``load_hand``.
-
-    Returns:
-        for a name, ``right`` or the only side with a spec file; otherwise the description's side.
-
-    Raises:
-        UnknownNameError: there is no hand of that name.
-        HandModelError: the spec file can't be used.
-    """
+    """Side of a hand that ``load_hand`` loads by default: for a name, ``right`` or the only side
+    with a spec file; otherwise the description's side. Errors as ``load_hand``."""
     if isinstance(hand, HandSpec):
         return hand.side
     if isinstance(hand, Path) or hand.endswith(".toml"):

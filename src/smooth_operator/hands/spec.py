@@ -76,8 +76,6 @@ class FingerSpec:
 class Coupling:
     """A joint that follows another by a polynomial, q[joint] = p(q[follows]) in radians.
 
-    A straight line is enough for gears and most tendons; linkages of bars need higher degrees.
-
     Attributes:
         joint: the joint that follows.
         follows: its leader.
@@ -172,17 +170,16 @@ class HandSpec:
         palm: body whose frame is the palm frame.
         wrist: counterpart of the human wrist, fixed to the palm.
         fingers: two to five fingers, thumb first.
-        align: three or more landmarks that fix the alignment of human hand to palm: a finger's
-            name means its base; or ``wrist``. The paper's authors use thumb, index and pinky;
-            a hand of two fingers needs the wrist.
+        align: three or more landmarks that fix the alignment of human hand to palm: ``wrist``, or
+            a finger's name for its base.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for other joints.
         wrist_joints: names of the joints between forearm and palm, from the forearm; see
             ``with_wrist_joints``.
         mirror: True if the file holds the other side and is to be mirrored on loading.
         gripper: True for a gripper of two jaws, of which one may be fixed. It has no side: either
             human hand drives the same model.
-        joint_map: maps from human joint angles to joints, for methods that use them. Other joints
-            get a map by measuring the hand, which needs all four points of their finger.
+        joint_map: maps from human joint angles to joints. Other joints get a map by measuring the
+            hand, which needs all four points of their finger.
         torque: torque limit of the motors [N m] by their maker: one number for all joints, or
             joint name -> torque; unknown for the other joints. None if all are unknown.
         couplings: joints that follow another one; they replace the model file's couplings.

@@ -1,9 +1,7 @@
 """Capsules along a hand's bones, for links whose collision shapes can't be read.
 
-Vendors' URDFs are often passed on without their mesh files. The kinematics does not need them, but
-self-collision does: the term of ``smooth`` and the measure. A stand-in is a capsule along the bone
-of such a link, with a radius that is estimated from the hand's lengths; a palm becomes parallel
-capsules from heel to knuckles.
+Their radius is estimated from the hand's lengths; a palm becomes parallel capsules from heel to
+knuckles. Self-collision needs them: the term of ``smooth`` and the measure.
 """
 
 from __future__ import annotations
@@ -74,13 +72,11 @@ def stand_in_note(hand: Hand) -> str:
 
 
 def stand_ins(hand: Hand) -> StandIns:
-    """Capsules for the links of a hand that lack shapes.
+    """Capsules for the links of a hand that lost shapes and whose other shapes leave the bone bare.
 
-    These are the links that lost shapes because mesh files can't be read and whose other shapes
-    leave the bone bare. If at least half of the fingers have such a link, stand-ins replace the
-    shapes of all finger links: estimates of one kind give better results than a mix
-    (docs/how-to/hands.md). A hand without any colliding shape gets stand-ins for the palm and for
-    all links from it to a fingertip.
+    If at least half of the fingers have such a link, stand-ins replace the shapes of all finger
+    links, which is better than a mix (docs/how-to/hands.md). A hand without any colliding shape
+    gets stand-ins for the palm and for all links from it to a fingertip.
     """
     lacking = lacking_parts(hand)
     if not lacking:
@@ -158,13 +154,9 @@ def _uncovered(
 
 
 def finger_bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
-    """Maps each finger to its bones, base to tip, cut into one piece per body that carries a part.
-
-    In the world, in the pose of ``data`` [m]; ``data`` needs its kinematics.
-
-    Bones run between landmarks, which lie on the finger's middle line; joint origins need not. A
-    finger without landmarks between base and tip uses joint origins.
-    """
+    """Maps each finger to its bones, base to tip, cut into one piece per body that carries a part,
+    in the world and the pose of ``data`` [m]. Bones run between landmarks, or between joint origins
+    in a finger without landmarks between base and tip."""
     placed = landmark_points(hand.model, hand.spec)
     out = {}
     for finger in hand.spec.fingers:
@@ -183,11 +175,8 @@ def finger_bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]
 def _pieces(
     hand: Hand, data: mujoco.MjData, before: tuple[int, np.ndarray], after: tuple[int, np.ndarray]
 ) -> list[Piece]:
-    """Pieces of a bone between two landmarks, cut at the joints between them.
-
-    A landmark lies on the axis of the joint that moves its own body, so the bone before it ends
-    with the link above that joint.
-    """
+    """Pieces of a bone between two landmarks, cut at the joints between them. A landmark lies on
+    the axis of the joint that moves its body, so the bone before it ends with the link above."""
     model, (start, end) = hand.model, (before[1], after[1])
     part = [int(p) for p in model.body_weldid]
     first, last = part[before[0]], part[after[0]]

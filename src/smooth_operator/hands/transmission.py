@@ -4,10 +4,9 @@
 
     q_all = p(A q + b)
 
-Most joints need the linear part only: an actuated joint has a row of the identity in A, and a joint
-that follows it through a gear has the gear ratio. p is a polynomial for each joint. It is the
-identity except for a joint that follows its leader by a polynomial, such as one in a four-bar
-linkage; the row of A then selects the leader.
+An actuated joint has a row of the identity in A, and a joint that follows it through a gear has the
+gear ratio. p is the identity except for a joint that follows its leader by a polynomial, such as
+one in a four-bar linkage; the row of A then selects the leader.
 """
 
 from __future__ import annotations
@@ -55,10 +54,8 @@ class Transmission:
         return self.curved(linear)
 
     def slopes(self, q: ArrayLike) -> Float[np.ndarray, "*batch n m"]:
-        """(..., n, m) derivatives of all joint positions with respect to the actuated ones.
-
-        Without curves, this is the constant (n, m) matrix.
-        """
+        """(..., n, m) derivatives of all joint positions with respect to the actuated ones; without
+        curves, the constant (n, m) matrix."""
         if not self.curves:
             return self.matrix
         linear = np.asarray(q, float) @ self.matrix.T + self.offset
@@ -160,11 +157,8 @@ def build_transmission(
 def leader_range(
     coefficients: Coefficients, leader: Float[np.ndarray, "2"], own: Float[np.ndarray, "2"]
 ) -> tuple[float, float]:
-    """The widest part of a leader's limits in which its follower keeps its own limits [rad].
-
-    Returns:
-        lower and upper end; the lower one is above the upper one if there is no such part.
-    """
+    """Lower and upper end of the widest part of a leader's limits in which its follower keeps its
+    own limits [rad]; the lower one is above the upper one if there is no such part."""
     curve = Polynomial(coefficients)
     crossings = np.concatenate([(curve - end).roots() for end in own[np.isfinite(own)]] or [[]])
     real = crossings[np.isreal(crossings)].real

@@ -27,10 +27,8 @@ _T = TypeVar("_T", bound=str)
 
 @dataclass(frozen=True)
 class Entries:
-    """A table of a settings file.
-
-    Every look-up raises ``refuse`` if the entry is missing and has no default, or has another
-    type.
+    """A table of a settings file. A look-up raises ``refuse`` if the entry is missing and has no
+    default, or has another type.
 
     Attributes:
         file: name of the file in messages.
@@ -66,12 +64,7 @@ class Entries:
     def text(
         self, name: str, default: str | None = None, *, empty: bool = True, lines: bool = False
     ) -> str:
-        """Returns a string.
-
-        Args:
-            default: value of a missing entry; None if the entry is required.
-            lines: accept several lines and other control characters.
-        """
+        """Returns a string; with ``lines``, also one with several lines and control characters."""
         value = self._get(name, default, "a string")
         if not isinstance(value, str):
             raise self.error(name, f"expected a string, not {brief(value)}")
@@ -146,11 +139,7 @@ class Entries:
 
     @contextmanager
     def name_file(self) -> Iterator[None]:
-        """Adds the file name to errors of this package that are raised in the block.
-
-        Raises:
-            SmoothOperatorError: of the class ``refuse``.
-        """
+        """Converts errors of this package in the block to ``refuse``, with the name of the file."""
         try:
             yield
         except SmoothOperatorError as error:
@@ -183,18 +172,16 @@ def read_entries(
     most_bytes: int,
     hint: str = "",
 ) -> Entries:
-    """Reads the table of a TOML file.
+    """Reads the table of a TOML file of at most ``most_bytes``.
 
     Args:
         path: path of the file.
         what: kind of file, for messages.
         refuse: class of the errors, also of the look-ups.
-        most_bytes: longest file that is read.
         hint: where such files come from, for the message about a missing file.
 
     Raises:
-        SmoothOperatorError: of the class ``refuse``: there is no such file, it can't be read, or it
-            is not TOML.
+        SmoothOperatorError: of the class ``refuse``: the file can't be read, or is not TOML.
     """
     try:
         return Entries(str(path), read_toml(path, most_bytes=most_bytes), refuse)

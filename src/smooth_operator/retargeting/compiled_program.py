@@ -54,8 +54,7 @@ _LOOPS_ON_GPU: Final = {
     "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
     "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
 }
-"""Option of XLA, from JAX's documentation: loops run on the GPU. Without it, the host starts each
-of their kernels."""
+"""Option of XLA, from JAX's documentation: loops run on the GPU, not kernel by kernel."""
 
 _Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
 """Structure, shapes and kinds of the arguments, and their device."""
@@ -64,9 +63,8 @@ _Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
 def program_key(
     hand: Hand, config: MethodConfig, *more: object, constants: Any = None
 ) -> str | None:
-    """Digest of everything that a program depends on, except its arguments: hand, configuration,
-    code, and the ``repr`` of ``more``. None if it is unknown, because the configuration refers to
-    code or to a file of the user."""
+    """Digest of everything that a program depends on, except its arguments; None if the
+    configuration refers to code or to a file of the user."""
     shareable = config.shareable or constants is not None
     if not shareable or not _is_data(config, paths=constants is not None):
         return None
@@ -87,8 +85,7 @@ class CompiledProgram:
         config: the method's settings.
         constants: ``Method.constants``.
         cached: True to read the program from the user's cache and store it there.
-        graphs: True to run loops on a GPU: more frames per second with long loops, but a single
-            frame takes 10 % longer.
+        graphs: True to run loops on a GPU, for batches; a single frame takes 10 % longer.
     """
 
     def __init__(
@@ -129,11 +126,8 @@ class CompiledProgram:
     def _compiled(
         self, signature: _Signature, arguments: tuple[Any, ...]
     ) -> tuple[Callable[..., Any], Any]:
-        """Returns the program for arguments of this signature, and its value.
-
-        It is compiled ahead of time, because ``jax.jit`` compiles again if an argument is a NumPy
-        array in the first call and a JAX array in the next one, as the state is.
-        """
+        """The program for arguments of this signature, and its value. It is compiled ahead of time,
+        because ``jax.jit`` would compile again if NumPy's state becomes one of JAX."""
         config: Any = jax.config  # its attributes are made at run time
         cache = None if config.jax_disable_jit or not self._cached else program_cache()
         key = None if cache is None else self._key()

@@ -55,9 +55,8 @@ def unit_vectors(vector: AnyKind, xp: ModuleType) -> AnyKind:
 def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
     """Axes of a human palm in the robot's palm frame, after the alignment.
 
-    A robot's own wrist and knuckles seldom span a palm like a human's (the wrist of the mimic hand
-    lies 3 cm in front of the plane of the knuckles). The directions are therefore those of the
-    built-in operator's hand, aligned like every frame.
+    A robot's own wrist and knuckles seldom span a palm like a human's, so the directions are those
+    of the built-in operator's hand, aligned like every frame.
     """
     mirrored = hand.spec.side == "left"
     landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if mirrored else FLAT_HAND

@@ -42,11 +42,9 @@ class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
 
 
 PRESETS: Final[Mapping[str, Mapping[str, MethodConfig]]] = _Presets()
-"""Maps a method and a preset to a configuration; the first preset of a method is its default.
-
-A name may be ``package.module:attribute``. A look-up raises ``UnknownNameError`` (a ``KeyError``)
-for an unknown method, and ``ConfigError`` if a plugin's method can't be loaded.
-"""
+"""Maps a method, or ``package.module:attribute``, and a preset to a configuration; the first preset
+is the default. A look-up raises ``UnknownNameError`` for an unknown method, and ``ConfigError`` if
+a plugin's method can't be loaded."""
 
 _ALIASES: Final = {"sbr": {"published": "paper"}}
 """Alternative names of presets, by method: every published method accepts ``published``."""
@@ -75,12 +73,7 @@ def live_presets() -> dict[str, list[str]]:
 
 
 def default_preset(method: str) -> str:
-    """Name of a method's default preset.
-
-    Raises:
-        UnknownNameError: there is no such method.
-        ConfigError: the method of a plugin can't be loaded.
-    """
+    """Name of a method's default preset; errors as ``PRESETS``."""
     return next(iter(PRESETS[method]))
 
 

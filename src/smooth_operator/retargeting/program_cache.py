@@ -118,7 +118,7 @@ def is_off() -> bool:
 
 @functools.cache
 def own_folder(folder: Path) -> Path | None:
-    """Returns a folder with its links resolved, and creates it if necessary. None if it is not
+    """Returns a folder with its links resolved, and creates it if necessary; None if it is not
     writable, or, with a warning, if another user can write to it."""
     try:
         make_private(folder)

@@ -27,8 +27,7 @@ class TrajectoryConfig:
         motion_speed: human fingertip speed at which that weight is halved [m/s]; the weight falls
             with the square of the speed. 0 keeps it constant.
         speed_limit: largest speed of joints [rad/s]; a faster change between frames at the median
-            rate costs half of ``SPEEDING`` times the squared excess. A command must not jump
-            further after a lost frame than after any other frame.
+            rate costs half of ``SPEEDING`` times the squared excess.
         iterations: maximum number of Newton steps.
         tolerance: the optimisation ends after a step that moves no joint further than this [rad].
     """
@@ -61,8 +60,7 @@ class TrajectoryMethodConfig(MethodConfig):
         future: costs of motion between the frames.
         bridge: longest gap that is bridged [s]; during a longer gap the last pose is held.
         jump: length of a landmark's step of which the filter follows half at once, and the rest
-            before and after it [m], because a tracker's jumps dominate the acceleration of a
-            recording. 0 follows every step completely.
+            before and after it [m]. 0 follows every step completely.
         noise: multiple of the tracker's noise that is added to ``jump``.
     """
 
@@ -81,11 +79,7 @@ class TrajectoryMethodConfig(MethodConfig):
         return self.causal.alignment
 
     def build(self, hand: Hand) -> NoReturn:
-        """Raises an error, because single frames can't be solved.
-
-        Raises:
-            ConfigError: always.
-        """
+        """Raises ConfigError, because single frames can't be solved."""
         raise ConfigError(
             "this preset uses the whole recording, including future frames, so it can't run "
             "frame by frame: use it with `smooth-operator retarget`, and choose another "

@@ -46,12 +46,7 @@ class GeortConfig(MethodConfig):
     model: Path | None = None
 
     def build(self, hand: Hand) -> Geort:
-        """The method for one hand.
-
-        Raises:
-            ConfigError: there is no built-in model for the hand, the file can't be read, or its
-                model is for another hand.
-        """
+        """The method for one hand; ConfigError if there is no model for it."""
         path = built_in_model(hand.name) if self.model is None else Path(self.model)
         if path is None:
             names_built_in = ", ".join(
@@ -198,14 +193,8 @@ def human_tips(hand: Hand) -> tuple[int, ...]:
 
 
 def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
-    """Actuated joints that belong to a single finger.
-
-    A joint belongs to a finger if it moves that fingertip and no other, directly or by a coupling.
-    A joint that moves several fingertips (a wrist, a common spread) has no network and stays at
-    neutral.
-
-    Returns:
-        indices into the actuated joints, per finger, thumb first.
+    """Indices of the actuated joints that move a single fingertip, per finger, thumb first. Others,
+    such as a common spread, have no network and stay at neutral.
 
     Raises:
         HandModelError: a finger has no joint of its own.
@@ -258,11 +247,8 @@ class GeortModel:
     training: Mapping[str, Any]
 
     def mirrored_for(self, hand: Hand) -> bool:
-        """True if a hand is the mirror image of the hand in training, False if it is that hand.
-
-        Raises:
-            ConfigError: it is another hand; the message names the difference.
-        """
+        """True if a hand is the mirror image of the hand in training, False if it is that hand;
+        ConfigError if it is another one."""
         train = f"; train one for it: {training_command(hand)}"
         about = f"the GeoRT model was trained for the {self.side} hand {self.hand!r}"
         if hand.fingers != self.fingers:

@@ -47,11 +47,10 @@ class SbrConfig(ObjectiveMethodConfig):
         sampling: hyper-parameters of Algorithm 1.
         polish: Newton steps on the same objective after Algorithm 1; the paper has none.
         settle_rounds: number of solutions of the first frame, each from the previous one and
-            without the velocity term, because there is no last command. The hand then starts in the
-            operator's pose and does not move there from the neutral pose over several frames. 1, as
+            without the velocity term, so that the hand starts in the operator's pose. 1, as
             published, solves once, with the velocity term.
-        settle_sigma: initial standard deviation of the sampler in these solutions [rad], because
-            the first pose may be anywhere, and the hand would stay in a wrong basin.
+        settle_sigma: initial standard deviation of the sampler in these solutions [rad]; larger,
+            because the first pose may be anywhere.
         correspondence: fingertip targets by the correspondence of human and robot fingers, as in
             ``smooth``; with share 0, as published, they are the human's fingertips.
     """
@@ -237,12 +236,9 @@ SBR_REALTIME: Final = SbrConfig(
     settle_rounds=10,
 )
 """Preset for an ordinary CPU: a few quasi-random base samples find the basin, and Newton steps find
-its minimum.
-
-The minimum, which the paper's sampler only approaches, follows jumps of the pinch latches more
-closely. Therefore a latch takes effect over 2.5 frames, and the thumb's keyvectors have more weight
-than those between fingers. docs/reference/benchmarks.md names the recordings of the tuning.
-"""
+its minimum, which follows jumps of the pinch latches more closely than the paper's sampler.
+Therefore a latch takes effect over 2.5 frames. docs/reference/benchmarks.md names the recordings of
+the tuning."""
 
 SBR_OFFLINE: Final = TrajectoryMethodConfig(
     replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
@@ -250,10 +246,6 @@ SBR_OFFLINE: Final = TrajectoryMethodConfig(
     jump=0.03,
 )
 """Preset for recordings: Eq. (1) for all frames together, with a cost of acceleration, and of
-fingertip motion that differs from the human's.
-
-Because the future is known, velocity has no cost, and a weaker pull to the neutral pose gives the
-same smoothness.
-"""
+fingertip motion that differs from the human's, in place of the cost of velocity."""
 
 SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}

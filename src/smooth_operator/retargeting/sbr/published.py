@@ -55,11 +55,10 @@ class LatchState(NamedTuple):
 class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     """Group form of DexPilot's targets (Handa et al. 2019), as in the paper's table.
 
-    Each finger has a latch with hysteresis. It closes when the (aligned) human thumb-to-tip
-    distance falls below ``project``, and opens when it rises above ``escape``. The target of a
-    closed thumb vector is direction x eta1, with weight w_set1; that of a vector between two
-    latched fingers is direction x eta2, with weight w_set2; that of all others is the human vector
-    x beta, with weight w_default.
+    A finger's latch closes when the human thumb-to-tip distance falls below ``project``, and opens
+    when it rises above ``escape``. The target of a closed thumb vector is direction x eta1, that of
+    a vector between two latched fingers direction x eta2, that of all others the human vector x
+    beta.
 
     Attributes:
         project: closing distance [m].
@@ -72,9 +71,7 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         w_thumb: factor on the open thumb-to-tip vectors (1 in the paper).
         w_between: factor on the open finger-to-finger vectors (1 in the paper).
         beta: scale of the human vectors.
-        blend: change of a latch's effect per frame. With 1, as published, targets and weights
-            jump when a latch closes or opens; a smaller value spreads the change over 1 / blend
-            frames.
+        blend: change of a latch's effect per frame; with 1, as published, targets jump.
     """
 
     project: float = 0.010

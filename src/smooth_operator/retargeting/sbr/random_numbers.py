@@ -1,9 +1,7 @@
 """Random numbers of Algorithm 1: keys of frames and cycles, and standard normals for candidates.
 
-All are functions of a counter. The normals of candidate n of a cycle, a function of (key, n), are
-not stored: the elites are drawn again from their indices, and the compiler fuses drawing,
-kinematics and cost into a single pass that writes one number per candidate. JAX's own generator
-(threefry and an inverse error function) is slower than all the kinematics of Algorithm 1.
+The normals of candidate n of a cycle are a function of (key, n) and are not stored: the compiler
+fuses drawing, kinematics and cost. JAX's own generator is slower than all of the kinematics.
 """
 
 from __future__ import annotations

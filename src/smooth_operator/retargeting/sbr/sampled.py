@@ -27,12 +27,7 @@ class SampledObjective(Objective):
     config: ObjectiveConfig
 
     def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
-        """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
-
-        Args:
-            q: m arrays of a common shape, actuated joint positions [rad].
-            within_limits: True if q is known to be within the limits, which is faster.
-        """
+        """First term of Eq. (1); arguments as ``__call__``."""
         return self._point_costs([self.keyvectors], q, goal, within_limits)
 
     def __call__(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:

@@ -91,11 +91,8 @@ def sample_minimise(
 ) -> Float[Array, " m"]:
     """Minimises a cost within bounds by Algorithm 1.
 
-    The last cycle of the printed algorithm draws and scores candidates without using them (``if l <
-    L`` skips the update). That cycle is left out; the result is the same.
-
-    Candidates are clipped to the bounds before they are scored, as in the authors' released code,
-    so mean and covariance are those of clipped elites. The printed algorithm clips in line 14 only.
+    The last cycle, whose candidates the printed algorithm does not use, is left out. Candidates are
+    clipped before they are scored, as in the authors' released code, not in line 14 only.
 
     Args:
         cost: cost of candidates, batch last; it is called only within the bounds.
@@ -185,12 +182,8 @@ class _ClippedGaussian:
         return jnp.clip(mean[:, None] + chol @ normals, self.low[:, None], self.high[:, None])
 
     def draw_all(self, mean: Array, chol: Array, words: Array) -> list[Array]:
-        """All N draws, as m arrays (N,).
-
-        The product with ``chol`` is written out, so that drawing, kinematics and cost fuse into one
-        loop that stores no candidates. With fixed normals, a matrix product is as fast and compiles
-        faster.
-        """
+        """All N draws, as m arrays (N,). The product with ``chol`` is written out, so that drawing,
+        kinematics and cost fuse into one loop, unless the normals are fixed."""
         if self.base is not None:
             return list(self.draw(mean, chol, words, self.everyone))
         normals = counter_normals(self.everyone, words, self.size)
@@ -205,8 +198,7 @@ class _ClippedGaussian:
 
 def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
     """(count, samples) standard normals of low discrepancy, used in every frame: the shifted
-    additive recurrence of Roberts' generalised golden ratio. The error of sampling is then a smooth
-    function of the input, so it adds little motion between frames."""
+    additive recurrence of Roberts' generalised golden ratio."""
     rng = np.random.default_rng(0)
     ratio = 2.0
     for _ in range(64):  # the root of x^(count + 1) = x + 1
