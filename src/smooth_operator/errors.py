@@ -77,11 +77,7 @@ class MissingExtraError(SmoothOperatorError, ImportError):
 
 def require(feature: str, extra: str, *libraries: str) -> None:
     """Checks that the libraries (top-level modules) of an extra are installed, without importing
-    them.
-
-    Raises:
-        MissingExtraError: a library that ``feature`` needs is missing.
-    """
+    them; MissingExtraError if a library that ``feature`` needs is missing."""
     for name in libraries:
         if sys.modules.get(name) is None and find_spec(name) is None:
             raise MissingExtraError(feature, extra)

@@ -167,11 +167,8 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
 
 
 def built_for(todo: Plan) -> tuple[Runner, float]:
-    """Result of ``build``, kept for the next plan of the same hand, configuration and seed.
-
-    Raises:
-        SmoothOperatorError: the method can't be used with the hand.
-    """
+    """Result of ``build``, kept for the next plan of the same hand, configuration and seed;
+    SmoothOperatorError if the method can't be used with the hand."""
     result: tuple[Runner, float] = _shelved(build, todo)
     return result
 

@@ -105,11 +105,7 @@ centre of the palm, which takes the place of the thumb's CMC, because that is mi
 
 
 def index(name: str) -> int:
-    """Index of a landmark by name.
-
-    Raises:
-        UnknownNameError: there is no landmark with that name.
-    """
+    """Index of a landmark by name; UnknownNameError if there is no landmark with that name."""
     from smooth_operator.errors import UnknownNameError
 
     try:

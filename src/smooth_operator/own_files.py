@@ -20,11 +20,8 @@ _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
 def make_private(folder: Path) -> None:
-    """Create a folder and its missing parents for this user alone.
-
-    Raises:
-        OSError: the folder can't be created.
-    """
+    """Create a folder and its missing parents for this user alone; OSError if the folder can't be
+    created."""
     if not folder.is_dir():
         make_private(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)

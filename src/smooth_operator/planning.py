@@ -142,11 +142,8 @@ class RetargetRequest(MethodChoice):
         return load_hand(hand, side, fingers=self.fingers)
 
     def commanded(self, hand: Hand) -> Hand:
-        """A loaded hand with the joints that are commanded.
-
-        Raises:
-            HandModelError: its wrist joints can't be commanded.
-        """
+        """A loaded hand with the joints that are commanded; HandModelError if its wrist joints
+        can't be commanded."""
         return with_wrist_joints(hand) if self.wrist_joints else hand
 
 

@@ -75,11 +75,8 @@ class MethodRequest:
 
 
 def parse_fingers(text: str) -> dict[str, str]:
-    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky.
-
-    Raises:
-        HandModelError: a part of it is empty, or a finger is named twice.
-    """
+    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky;
+    HandModelError if a part of it is empty, or a finger is named twice."""
     choice: dict[str, str] = {}
     for part in text.split(","):
         robot, sign, human = (word.strip() for word in part.partition("="))

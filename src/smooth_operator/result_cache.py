@@ -236,11 +236,8 @@ class ResultLog(_Store):
         return value
 
     def keep(self, name: str, key: object, code: str, value: Mapping[str, Any]) -> None:
-        """Appends a result, and flushes it to the disk.
-
-        Raises:
-            OutputError: the file can't be written.
-        """
+        """Appends a result, and flushes it to the disk; OutputError if the file can't be
+        written."""
         record = {"key": key_digest(key), "code": code}
         try:
             with self.path.open("ab") as file:

@@ -228,11 +228,8 @@ class Cell:
         return file_name("-".join(self.key), (place, *self.key))
 
     def plan(self, seed: int) -> Plan:
-        """Returns the plan that retargets the cell's recording, which must exist.
-
-        Raises:
-            SmoothOperatorError: there is no such hand.
-        """
+        """Returns the plan that retargets the cell's recording, which must exist;
+        SmoothOperatorError if there is no such hand."""
         recording = self.source.recording
         assert recording is not None  # a cell without one is not begun
         hand = load_hand(self.hand, self.side, fingers=self.fingers)

@@ -181,11 +181,8 @@ def contact_sheet(
 def write_sheets(
     finished: Iterable[Finished], folder: Path, shape: Callable[[Hand], HandShape] = skeleton_shape
 ) -> list[Path]:
-    """Writes ``sheet-HAND-SIDE.png`` for each hand of a benchmark on which a pose was found.
-
-    Raises:
-        OutputError: a file can't be written.
-    """
+    """Writes ``sheet-HAND-SIDE.png`` for each hand of a benchmark on which a pose was found;
+    OutputError if a file can't be written."""
     paths = []
     for (hand, side), panels in panels_by_hand(make_panels(finished)).items():
         drawn = contact_sheet(panels, shape)

@@ -49,11 +49,8 @@ class Measured:
 
 
 def measure_cell(task: tuple[Cell, Settings]) -> Measured:
-    """Retargets the recording of a cell and measures it, in a worker.
-
-    Raises:
-        SmoothOperatorError: the method can't be used with the hand, or the recording can't be used.
-    """
+    """Retargets the recording of a cell and measures it, in a worker; SmoothOperatorError if the
+    method can't be used with the hand, or the recording can't be used."""
     cell, settings = task
     add_metrics(settings.metrics)
     todo = cell.plan(settings.seed)

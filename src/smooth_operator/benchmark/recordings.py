@@ -92,11 +92,8 @@ class Request:
         return f"{SYNTHETIC}:{self.seed}" if self.path is None else str(self.path.resolve())
 
     def operator(self) -> SyntheticOperator:
-        """The requested built-in operator with its tracker.
-
-        Raises:
-            ConfigError: the length of the hand or the tempo is outside its range.
-        """
+        """The requested built-in operator with its tracker; ConfigError if the length of the hand
+        or the tempo is outside its range."""
         operator = SyntheticOperator(
             seed=self.seed,
             side=self.side or "right",

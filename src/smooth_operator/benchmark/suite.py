@@ -152,11 +152,7 @@ class BenchmarkFolder:
         return Job(cell.slug, key, benchmark_code(), cell, cell.label, effort)
 
     def save_latency(self, cell: Cell, latency: Latency) -> None:
-        """Stores the latency of a cell.
-
-        Raises:
-            OutputError: it can't be written.
-        """
+        """Stores the latency of a cell; OutputError if it can't be written."""
         content = {
             "samples_ms": latency.samples_ms,
             "first_ms": latency.first_ms,
@@ -212,11 +208,8 @@ class Finished:
 
 def plan_cells(settings: Settings) -> list[Cell]:
     """Plans all cells to measure. Reads the recordings and does not write anything.
-
-    Raises:
-        SmoothOperatorError: the settings are invalid: an unknown name, no readable recording, or a
-            folder with other contents.
-    """
+    SmoothOperatorError if the settings are invalid: an unknown name, no readable recording, or a
+    folder with other contents."""
     check_folder(settings.output)
     add_metrics(settings.metrics)
     requests = [

@@ -67,11 +67,7 @@ class OperatorProfile:
 
 
 def write_operator(path: Path, operator: OperatorProfile) -> None:
-    """Write a profile atomically.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
+    """Write a profile atomically; OutputError if the file can't be written."""
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -85,12 +81,9 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
 
 
 def read_operator(path: Path) -> OperatorProfile:
-    """Read a profile that ``write_operator`` wrote.
-
-    Raises:
-        ConfigError: the file does not exist, is not a profile or has another version, or an entry
-            is missing, unknown or outside the range of a hand.
-    """
+    """Read a profile that ``write_operator`` wrote; ConfigError if the file does not exist, is not
+    a profile or has another version, or an entry is missing, unknown or outside the range of a
+    hand."""
     try:
         content = read_json(Path(path), most_bytes=_MOST_BYTES)
     except FileNotFoundError:

@@ -40,11 +40,8 @@ class Features:
 
 
 def measure_features(recording: HandRecording) -> Features:
-    """Compute the features of a recording.
-
-    Raises:
-        RecordingError: too few frames can be used, or they show the other hand.
-    """
+    """Compute the features of a recording; RecordingError if too few frames can be used, or they
+    show the other hand."""
     assert recording.valid is not None  # filled in on construction
     points = recording.landmarks
     whole = np.asarray(recording.valid.all(axis=1))

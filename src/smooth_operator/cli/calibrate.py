@@ -181,11 +181,8 @@ def _calibrate_pinches(options: Calibrate) -> None:
 
 
 def _earlier(output: Path) -> OperatorProfile | None:
-    """Profile that is in the file already; None without a file.
-
-    Raises:
-        OutputError: the name does not end in .json, or the file exists and is not a calibration.
-    """
+    """Profile that is in the file already; None without a file. OutputError if the name does not
+    end in .json, or the file exists and is not a calibration."""
     from smooth_operator.calibration.operator_file import read_operator
 
     if output.suffix != ".json":

@@ -63,11 +63,8 @@ class Common:
         return {}
 
     def run(self) -> None:
-        """Imports the function that ``work`` names, and calls it with these options.
-
-        Raises:
-            MissingExtraError: a library of one of the ``extras`` is not installed.
-        """
+        """Imports the function that ``work`` names, and calls it with these options;
+        MissingExtraError if a library of one of the ``extras`` is not installed."""
         missing = []
         for extra, libraries in self.extras().items():
             try:

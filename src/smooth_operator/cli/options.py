@@ -123,12 +123,7 @@ def option_names(kind: type, prefix: str = "--") -> Iterator[str]:
 
 
 def _check_options(kind: type, name: str, words: Sequence[str]) -> None:
-    """Refuses an unknown option. For an unknown option, tyro would complain about a missing
-    argument instead.
-
-    Raises:
-        ConfigError: an argument is an unknown option.
-    """
+    """ConfigError for an unknown option, for which tyro would complain about a missing argument."""
     known = {*option_names(kind), "--help"}
     for word in words:
         option = word.partition("=")[0].replace("_", "-")
@@ -318,11 +313,8 @@ def _commands(name: str) -> dict[str, Any]:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Joins ``bench --physics`` and a plugin's ``GROUP COMMAND`` into one argument each.
-
-    Raises:
-        ConfigError: the command is in a distribution that is not installed.
-    """
+    """Joins ``bench --physics`` and a plugin's ``GROUP COMMAND`` into one argument each;
+    ConfigError if the command is in a distribution that is not installed."""
     words = list(arguments)
     if words[:1] == ["bench"] and "--physics" in words:
         words = ["physics", *("--measures" if w == "--physics" else w for w in words[1:])]

@@ -15,11 +15,8 @@ from smooth_operator.planning import read_configuration
 
 def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
     """Checks that ``OUT.npz`` and its configuration may be written. Does not write anything.
-
-    Raises:
-        OutputError: the name does not end in ``.npz``; an earlier result exists and ``overwrite``
-            is false; or one of the two files exists and is not an earlier result.
-    """
+    OutputError if the name does not end in ``.npz``; an earlier result exists and ``overwrite`` is
+    false; or one of the two files exists and is not an earlier result."""
     if path.suffix != ".npz":
         raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
     beside = config_path(path)
@@ -53,11 +50,7 @@ def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
 @contextlib.contextmanager
 def folder_for(folder: Path) -> Iterator[None]:
     """Creates a folder if necessary and checks that it is writable. If the block fails, a new
-    folder is removed again.
-
-    Raises:
-        OutputError: the folder can't be created or is not writable.
-    """
+    folder is removed again. OutputError if the folder can't be created or is not writable."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(
             f"can't write into {str(folder)!r}: it is a file, but a folder is expected; "

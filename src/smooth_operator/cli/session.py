@@ -29,11 +29,8 @@ def requested(
     frames: str | None = None,
     wrist_joints: bool = False,
 ) -> RetargetRequest:
-    """Creates a request from the options, and reads the files that they name.
-
-    Raises:
-        SmoothOperatorError: an option or a file is invalid.
-    """
+    """Creates a request from the options, and reads the files that they name; SmoothOperatorError
+    if an option or a file is invalid."""
     return make_request(
         **options.settings(),
         side=side,

@@ -81,11 +81,7 @@ class GpuUse:
 
     @classmethod
     def of_this_machine(cls) -> GpuUse:
-        """Returns the first GPU that JAX sees.
-
-        Raises:
-            ConfigError: JAX sees no GPU.
-        """
+        """Returns the first GPU that JAX sees; ConfigError if JAX sees no GPU."""
         import jax
 
         try:
@@ -364,11 +360,8 @@ def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
 
 
 def check_output(request: DatasetRequest, hand: str) -> None:
-    """Checks that results can be written to a folder.
-
-    Raises:
-        OutputError: the folder is a source or a file, or contains the data set of another hand.
-    """
+    """Checks that results can be written to a folder; OutputError if the folder is a source or a
+    file, or contains the data set of another hand."""
     if request.output.exists() and not request.output.is_dir():
         raise OutputError(f"can't write into {str(request.output)!r}: it is a file; name a folder")
     real = request.output.resolve()

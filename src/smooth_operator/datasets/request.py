@@ -19,10 +19,7 @@ DATASET: Final = "dataset"
 @dataclass(frozen=True, kw_only=True)
 class Limits:
     """Limits on an episode's quality. A metric that is unknown does not violate its limit.
-
-    Raises:
-        ConfigError: a limit is outside its range.
-    """
+    ConfigError if a limit is outside its range."""
 
     whole: bool = False
     """Keep or drop complete clips; never cut them."""

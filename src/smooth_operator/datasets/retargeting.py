@@ -52,11 +52,8 @@ computes commands."""
 
 
 def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
-    """Checks that a configuration solves whole recordings, and returns it as such.
-
-    Raises:
-        ConfigError: it solves frame by frame.
-    """
+    """Checks that a configuration solves whole recordings, and returns it as such; ConfigError if
+    it solves frame by frame."""
     if not isinstance(config, TrajectoryMethodConfig):
         raise ConfigError("objects need a preset for whole recordings, such as smooth:offline")
     return config

@@ -219,12 +219,8 @@ def is_manifest(path: Path) -> bool:
 
 
 def read_manifest(path: Path) -> Iterator[Item]:
-    """Yields the lines of a list as items, each named by its path or address.
-
-    Raises:
-        RecordingError: the list can't be read, or a line is not valid; the message has the line's
-            number.
-    """
+    """Yields the lines of a list as items, each named by its path or address. RecordingError if the
+    list can't be read, or a line is not valid; the message has the line's number."""
     try:
         text = read_text(path, most_bytes=_MOST_BYTES)
     except (OSError, DocumentError) as error:
@@ -590,11 +586,7 @@ def _fixed_part(pattern: Path) -> Path:
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """Parses ``i/n``, with i from 1 to n.
-
-    Raises:
-        ConfigError: the text does not have this form.
-    """
+    """Parses ``i/n``, with i from 1 to n; ConfigError if the text does not have this form."""
     number, sign, count = text.partition("/")
     if not (sign and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
         raise ConfigError(f"a shard must be i/n with i from 1 to n, such as 3/16, not {text!r}")

@@ -139,11 +139,7 @@ class Store:
         return count
 
     def read(self, stored: Result) -> list[RobotClip]:
-        """Reads the clips of an item.
-
-        Raises:
-            RecordingError: the pack is damaged; it is removed.
-        """
+        """Reads the clips of an item. RecordingError if the pack is damaged; it is removed."""
         try:
             pack = self._open.get(stored.pack)
             if pack is None:

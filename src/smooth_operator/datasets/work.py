@@ -74,11 +74,7 @@ def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
 
 def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Results:
     """Retargets the clips of a job, and writes them to a pack; items with a failed clip are left
-    out.
-
-    Raises:
-        OutputError: the pack can't be written.
-    """
+    out. OutputError if the pack can't be written."""
     clips = [each for each in clips if each.item.name not in reasons]
     answers = retarget_clips(
         [each.clip for each in clips],
@@ -119,11 +115,7 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
 
 
 def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
-    """Yields the clips of an item.
-
-    Raises:
-        SmoothOperatorError: the item can't be read.
-    """
+    """Yields the clips of an item; SmoothOperatorError if the item can't be read."""
     reading = recipe.reading(item.side, item.rate)
     if item.ref is not None:
         reader = find_reader(item.ref.layout)

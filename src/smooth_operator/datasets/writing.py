@@ -515,11 +515,7 @@ def _fitted(order: Order) -> WritingOptions:
 
 def _prepare(order: Order) -> None:
     """Prepares the folder: continues that of a stopped run of the same data set, or starts a new
-    one.
-
-    Raises:
-        OutputError: the folder contains files that this program did not write.
-    """
+    one; OutputError if the folder contains files that this program did not write."""
     target = order.request.data
     state = _state(order)
     if order.request.mirror:

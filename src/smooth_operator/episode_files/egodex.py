@@ -129,11 +129,8 @@ def egodex_confidences(
 def egodex_transforms(
     tree: Mapping[str, Hdf5Group], name: str, path: Path
 ) -> Float[np.ndarray, "T 4 4"]:
-    """Reads the transforms of a joint or of the camera unchanged.
-
-    Raises:
-        RecordingError: there are none, or their number differs from that of the other joints.
-    """
+    """Reads the transforms of a joint or of the camera unchanged; RecordingError if there are none,
+    or their number differs from that of the other joints."""
     group = tree["transforms"]
     first = next((n for pair in EGODEX_JOINTS.values() for n in pair if n in group.arrays), name)
     stored, example = group.arrays.get(name), group.arrays.get(first)

@@ -352,11 +352,8 @@ def _write_states(group: Group, states: StateTrajectory) -> None:
 
 
 def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
-    """Reads the measured states of a robot hand.
-
-    Raises:
-        RecordingError: an array is missing or has the wrong shape.
-    """
+    """Reads the measured states of a robot hand; RecordingError if an array is missing or has the
+    wrong shape."""
     positions = _numbers(group, "joint_positions", (None, None), path)
     count = len(positions)
     optional: dict[str, Any] = {
@@ -396,11 +393,8 @@ def _numbers(group: Hdf5Group, name: str, shape: tuple[int | None, ...], path: P
 def _array_of(
     group: Hdf5Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
 ) -> np.ndarray:
-    """Returns an array of numbers after a check of its shape and kind.
-
-    Raises:
-        RecordingError: the array is missing, or has another shape or kind.
-    """
+    """Returns an array of numbers after a check of its shape and kind; RecordingError if the array
+    is missing, or has another shape or kind."""
     array = _data_of(group, name, path)
     fits = len(array.shape) == len(shape) and all(
         expected in (None, size) for expected, size in zip(shape, array.shape, strict=True)
@@ -417,11 +411,7 @@ def _array_of(
 
 
 def _data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
-    """Returns an array unchanged.
-
-    Raises:
-        RecordingError: the group has no array with that name.
-    """
+    """Returns an array unchanged; RecordingError if the group has no array with that name."""
     if name not in group.arrays:
         raise RecordingError(
             f"{path}: it lacks the array {group.name}/{name}; the group holds {group.describe()}"

@@ -233,11 +233,7 @@ def _text(value: Any) -> str | None:
 
 
 def h5py_of() -> Any:
-    """The module ``h5py``.
-
-    Raises:
-        MissingExtraError: h5py is not installed.
-    """
+    """The module ``h5py``; MissingExtraError if h5py is not installed."""
     try:
         import h5py
     except ImportError as error:

@@ -69,12 +69,8 @@ class LandmarksOfBothHands:
         yield ClipRef(path.stem, path, layout="landmarks", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads the hands, wrists, camera, objects and task of a file.
-
-        Raises:
-            RecordingError: the shape of an array does not match the others; or units, order, side
-                or stamps are wrong.
-        """
+        """Reads the hands, wrists, camera, objects and task of a file. RecordingError if the shape
+        of an array does not match the others; or units, order, side or stamps are wrong."""
         path, arrays = ref.path, open_arrays(ref.path)
         sides = [side for side in SIDES if side in arrays]
         if not sides:

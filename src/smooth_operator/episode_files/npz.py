@@ -90,10 +90,7 @@ def read_npz_episode(
 
 def write_npz_episode(path: Path, episode: Episode) -> None:
     """Writes an episode; if it has commands and a configuration, also writes ``OUT.json``.
-
-    Raises:
-        OutputError: a file can't be written.
-    """
+    OutputError if a file can't be written."""
     arrays: dict[str, np.ndarray] = {}
     recording, commands = episode.recording, episode.commands
     if recording is not None:

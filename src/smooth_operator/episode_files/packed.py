@@ -44,11 +44,8 @@ class Packed:
         return {"name", "stamps"} <= names and bool(hands & names)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """Yields a reference for each row; reads only the column of names.
-
-        Raises:
-            RecordingError: the file is damaged.
-        """
+        """Yields a reference for each row; reads only the column of names. RecordingError if the
+        file is damaged."""
         try:
             check_plain_file(path)
             with parquet().ParquetFile(path, page_checksum_verification=True) as file:
@@ -61,11 +58,8 @@ class Packed:
             raise damaged(path, f"Parquet: {error}") from error
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads the human hands of a row; their stamps are in the file.
-
-        Raises:
-            RecordingError: the file is damaged, or is not in the writer's format.
-        """
+        """Reads the human hands of a row; their stamps are in the file. RecordingError if the file
+        is damaged, or is not in the writer's format."""
         try:
             group, row = map(int, ref.key.split("/"))
             status = ref.path.stat()

@@ -69,10 +69,7 @@ class Allowance:
 
     def take(self, part: str, count: int) -> None:
         """Counts the bytes of a part before it is unpacked. A repeated part counts once.
-
-        Raises:
-            TooLargeError: the total would exceed the limit.
-        """
+        TooLargeError if the total would exceed the limit."""
         total = self.total - self.used.get(part, 0) + count
         if total > self.most:
             raise TooLargeError(
@@ -126,12 +123,8 @@ class StoredArray:
     allowance: Allowance
 
     def load(self) -> np.ndarray:
-        """Read the data.
-
-        Raises:
-            RecordingError: the array is pickled or damaged, or takes more memory than a file of
-                this size may.
-        """
+        """Read the data; RecordingError if the array is pickled or damaged, or takes more memory
+        than a file of this size may."""
         label = f"array {self.name!r}" if self.name else "the array"
         if self.dtype.hasobject:
             raise RecordingError(f"{self.path}: {label} holds pickled objects; {PICKLE_REMEDY}")
@@ -211,12 +204,8 @@ class StoredArrays(Mapping[str, StoredArray]):
 
 
 def open_arrays(path: Path) -> StoredArrays:
-    """Read the headers of the arrays in an ``.npy`` or ``.npz`` file.
-
-    Raises:
-        RecordingError: the file is cut off, damaged, not a plain file, or a zip that contains a
-            pickle (PyTorch's format).
-    """
+    """Read the headers of the arrays in an ``.npy`` or ``.npz`` file; RecordingError if the file is
+    cut off, damaged, not a plain file, or a zip that contains a pickle (PyTorch's format)."""
     with _foreign(path):
         size = check_plain_file(path)
         allowance = Allowance.of(path, size)

@@ -67,11 +67,8 @@ def checked_hands(
 
 
 def one_hand(hands: Mapping[Side, HandRecording], side: Side | None, path: Path) -> HandRecording:
-    """The hand of a side, or the only hand in a file for None.
-
-    Raises:
-        RecordingError: the file does not have that hand, or it has both and ``side`` is None.
-    """
+    """The hand of a side, or the only hand in a file for None; RecordingError if the file does not
+    have that hand, or it has both and ``side`` is None."""
     if side is None and len(hands) > 1:
         raise RecordingError(
             f"{path}: it contains both hands; choose one with --side right or --side left "

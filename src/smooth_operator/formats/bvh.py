@@ -192,11 +192,8 @@ class Skeleton:
 
     @cached_property
     def hands(self) -> dict[Side, HandJoints]:
-        """Finds the hands with fingers, by side.
-
-        Raises:
-            RecordingError: there is no hand with fingers, or a fingertip or the unit is unknown.
-        """
+        """Finds the hands with fingers, by side; RecordingError if there is no hand with fingers,
+        or a fingertip or the unit is unknown."""
         found = {side: self._hand(side) for side in ("right", "left")}
         hands: dict[Any, HandJoints] = {s: hand for s, hand in found.items() if hand is not None}
         if not hands:
@@ -312,11 +309,8 @@ class Skeleton:
 
 
 def read_skeleton(lines: Iterator[str]) -> Skeleton:
-    """Reads the hierarchy from the lines of a file, up to the line ``MOTION``.
-
-    Raises:
-        RecordingError: the hierarchy is damaged.
-    """
+    """Reads the hierarchy from the lines of a file, up to the line ``MOTION``; RecordingError if
+    the hierarchy is damaged."""
     names: list[str] = []
     parents: list[int] = []
     offsets: list[list[float]] = []
@@ -352,11 +346,8 @@ def read_skeleton(lines: Iterator[str]) -> Skeleton:
 
 
 def read_skeleton_file(path: Path) -> Skeleton:
-    """Reads the skeleton of a BVH file and ignores its motion.
-
-    Raises:
-        RecordingError: the file can't be opened, or it has no skeleton with a hand and fingers.
-    """
+    """Reads the skeleton of a BVH file and ignores its motion; RecordingError if the file can't be
+    opened, or it has no skeleton with a hand and fingers."""
     try:
         check_plain_file(path)
         with path.open(encoding="utf-8-sig", errors="replace") as stream:

@@ -53,11 +53,8 @@ _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, 
 
 def check_recording(recording: HandRecording, where: str) -> None:
     """Refuse a recording that is empty, has no valid landmarks, or has wrong timestamps or units.
-    Single missing landmarks are accepted and stay flagged as invalid.
-
-    Raises:
-        RecordingError: the message gives the reason and the file, ``where``.
-    """
+    Single missing landmarks are accepted and stay flagged as invalid. RecordingError names
+    the reason and the file, ``where``."""
     if not len(recording):
         raise RecordingError(f"{where}: the recording contains no frames")
     check_stamps(recording.stamps, where, recording.landmarks)
@@ -336,11 +333,7 @@ def check_times(
 
 
 def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
-    """Refuse timestamps that span more than ``LONGEST_S``.
-
-    Raises:
-        RecordingError: the message gives the span.
-    """
+    """RecordingError for timestamps that span more than ``LONGEST_S``."""
     span = float(stamps[-1]) - float(stamps[0]) if len(stamps) else 0.0
     if span > LONGEST_S:
         raise RecordingError(
@@ -396,11 +389,7 @@ def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.nda
 
 
 def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) -> None:
-    """Refuse a rate that differs from the timestamps of the file by more than a tenth.
-
-    Raises:
-        RecordingError: the message gives both rates.
-    """
+    """RecordingError for a rate that differs from the timestamps of the file by over a tenth."""
     if rate is None or len(stamps) < 2:
         return
     own = 1.0 / float(np.median(np.diff(stamps)))

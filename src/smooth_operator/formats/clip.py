@@ -204,11 +204,8 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
 
 
 def with_side(clip: Clip, side: Side | None) -> Clip:
-    """Returns the clip with only one of its hands; None keeps all.
-
-    Raises:
-        RecordingError: it does not have that hand.
-    """
+    """Returns the clip with only one of its hands; None keeps all. RecordingError if it does not
+    have that hand."""
     if side is None or set(clip.hands) == {side}:
         return clip
     if side not in clip.hands:

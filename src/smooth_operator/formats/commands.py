@@ -60,21 +60,15 @@ def write_commands(
 
 def encode_commands(commands: CommandTrajectory) -> bytes:
     """Encodes ``OUT.npz`` as bytes. Equal commands give equal bytes at any time and on any machine.
-
-    Raises:
-        RecordingError: the arrays of the trajectory do not match.
-    """
+    RecordingError if the arrays of the trajectory do not match."""
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **command_arrays(commands))  # members without a date
     return stream.getvalue()
 
 
 def command_arrays(commands: CommandTrajectory) -> dict[str, np.ndarray]:
-    """Arrays of ``OUT.npz`` by name.
-
-    Raises:
-        RecordingError: the arrays of the trajectory do not match.
-    """
+    """Arrays of ``OUT.npz`` by name; RecordingError if the arrays of the trajectory do not
+    match."""
     arrays = {
         "joint_positions": np.asarray(commands.joint_positions, np.float64),
         "joint_names": np.asarray(commands.joint_names, np.str_),
@@ -210,11 +204,8 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
 
 
 def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
-    """Converts status codes to those of this version, by name if the file has names.
-
-    Raises:
-        RecordingError: the codes are not whole numbers, or this version does not know one of them.
-    """
+    """Converts status codes to those of this version, by name if the file has names; RecordingError
+    if the codes are not whole numbers, or this version does not know one of them."""
     if codes.dtype.kind not in "iu":
         raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")
     own = {status.name: int(status) for status in Status}

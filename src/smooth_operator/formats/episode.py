@@ -300,12 +300,9 @@ class Episode:
         return replace(self, recording=recording, **parts)
 
     def joined(self, other: Episode, where: str) -> Episode:
-        """Returns this recording with the commands of another file.
-
-        Raises:
-            RecordingError: ``other`` contains no commands; this episode already has commands, or
-                has no hand; or a command belongs to none of the frames.
-        """
+        """Returns this recording with the commands of another file. RecordingError if ``other``
+        contains no commands; this episode already has commands, or has no hand; or a command
+        belongs to none of the frames."""
         if other.commands is None:
             raise RecordingError(
                 f"{where}: it contains no commands; name the OUT.npz that retarget wrote"
@@ -376,11 +373,7 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
 
 def _check_positions(commands: CommandTrajectory, where: str) -> None:
     """Checks that joint positions are finite, except where the status says that there is no
-    command.
-
-    Raises:
-        RecordingError: a position is not finite or too large; names the first command and joint.
-    """
+    command. RecordingError names the first command and joint with a wrong position."""
     positions = np.asarray(commands.joint_positions, np.float64)
     good = np.abs(positions) <= MOST_RAD  # NaN compares as False
     unanswered = (np.asarray(commands.status) != Status.OK)[:, None]

@@ -117,10 +117,7 @@ def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.
 
 def quaternion_order(arrays: StoredArrays) -> str:
     """Order of the quaternions of a file, from its array ``quaternion_order``. Default: ``wxyz``.
-
-    Raises:
-        RecordingError: the array names another order.
-    """
+    RecordingError if the array names another order."""
     labels = {"wxyz"}
     if "quaternion_order" in arrays:
         labels = {text.strip().lower() for text in arrays["quaternion_order"].texts()}
@@ -167,11 +164,8 @@ def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
 def own_stamps(
     stamps: Float[np.ndarray, " T"], rate: float | None, where: str
 ) -> Float[np.ndarray, " T"]:
-    """Returns the timestamps of a file, or those of a given rate if all timestamps are equal.
-
-    Raises:
-        ConfigError: the rate is outside the range of trackers.
-    """
+    """Returns the timestamps of a file, or those of a given rate if all timestamps are equal;
+    ConfigError if the rate is outside the range of trackers."""
     if rate is not None and len(stamps) > 2 and (stamps == stamps[0]).all():
         return stamps_from_rate(len(stamps), rate, where)
     return stamps

@@ -82,11 +82,8 @@ class _Table:
         return [row[self.columns[name]].strip() for row in self._rows]
 
     def numbers(self, names: Sequence[str]) -> Float[np.ndarray, "T n"]:
-        """Numbers of columns; NaN for empty cells.
-
-        Raises:
-            RecordingError: a column is missing, or a cell is not a number.
-        """
+        """Numbers of columns; NaN for empty cells. RecordingError if a column is missing, or a cell
+        is not a number."""
         if missing := [name for name in names if name not in self.columns]:
             raise RecordingError(
                 f"{self._path}: the table has no column {listed(missing, 3)}; it has "
@@ -154,11 +151,8 @@ def _plain(path: Path, rate: float | None, asked: Side | None) -> dict[Side, Han
 
 
 def read_aria_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Reads the hands in Project Aria's table, by side.
-
-    Raises:
-        RecordingError: the table is damaged, lacks a column, or has no hand.
-    """
+    """Reads the hands in Project Aria's table, by side; RecordingError if the table is damaged,
+    lacks a column, or has no hand."""
     table = _Table(path)
     stamps = table.numbers([_ARIA_TIME])[:, 0] / 1e6
     hands: dict[Side, HandRecording] = {}

@@ -148,11 +148,7 @@ class Reader:
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Reads the clip of a file. The hands of a clip of both have common stamps; a missing hand
-        is NaN.
-
-        Raises:
-            RecordingError: the file can't be used, or its units, order or side are wrong.
-        """
+        is NaN. RecordingError if the file can't be used, or its units, order or side are wrong."""
         if self.read_hands is not None:
             where = str(ref.path)
             hands = _loaded(self.read_hands)(ref.path, options.rate)

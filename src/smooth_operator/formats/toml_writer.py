@@ -15,11 +15,8 @@ _ESCAPES: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\
 
 
 def toml_key(name: str) -> str:
-    """Formats a key, with quotation marks if TOML needs them.
-
-    Raises:
-        DocumentError: the key contains half of a surrogate pair.
-    """
+    """Formats a key, with quotation marks if TOML needs them; DocumentError if the key contains
+    half of a surrogate pair."""
     return name if _BARE_KEY.fullmatch(name) else toml_value(name)
 
 

@@ -103,11 +103,7 @@ class Branches:
         return tuple(b for b in moving if b not in above)
 
     def find(self) -> tuple[HandTree, ...]:
-        """All hands of the model.
-
-        Raises:
-            HandModelError: there is no hand.
-        """
+        """All hands of the model; HandModelError if there is no hand."""
         hands = self._below(self.leaves)
         if not hands:
             why = "; ".join(self.reasons) or (

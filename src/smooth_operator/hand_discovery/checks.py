@@ -63,11 +63,7 @@ class HandValidation:
         return tuple(check for check in self.checks if check.verdict == "failed")
 
     def __getitem__(self, name: str) -> Check:
-        """A check by its name.
-
-        Raises:
-            KeyError: there is no check of that name.
-        """
+        """A check by its name; KeyError if there is no check of that name."""
         for check in self.checks:
             if check.name == name:
                 return check

@@ -67,12 +67,8 @@ class OpenModel(NamedTuple):
 @contextmanager
 def opened(path: Path) -> Iterator[OpenModel]:
     """A model with its loops opened, in a temporary folder with its meshes; the model itself if it
-    has no loops.
-
-    Raises:
-        HandModelError: the model can't be read, a loop can't be solved, or one of its joints is not
-            a polynomial of another one; the message names the joint and the error.
-    """
+    has no loops. HandModelError if the model can't be read, a loop can't be solved, or one of its
+    joints is not a polynomial of another one; the message names the joint and the error."""
     loops: list[Loop] = []
     if isfile(path) and _may_have_loops(path):  # others get their message from ``discover``
         check_model_limits(path)

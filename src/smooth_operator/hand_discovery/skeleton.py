@@ -267,11 +267,7 @@ class Skeleton:
         return mujoco.MjData(self.model)
 
     def body(self, name: str) -> int:
-        """Index of a body.
-
-        Raises:
-            UnknownNameError: there is no such body.
-        """
+        """Index of a body; UnknownNameError if there is no such body."""
         names = [self.body_name(b) for b in range(self.model.nbody)]
         if name not in names:
             raise UnknownNameError("body", name, names)

@@ -288,11 +288,8 @@ def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> Kinem
 
 
 def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[int, np.ndarray]]:
-    """Landmarks of a hand's description: name -> (body, (3,) position in its frame [m]).
-
-    Raises:
-        UnknownNameError: the model lacks the body of a landmark.
-    """
+    """Landmarks of a hand's description: name -> (body, (3,) position in its frame [m]);
+    UnknownNameError if the model lacks the body of a landmark."""
     points = {LANDMARKS[WRIST]: spec.wrist}
     for finger in spec.fingers:
         first = BASES[FINGERS.index(finger.name)]

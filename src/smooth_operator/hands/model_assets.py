@@ -84,12 +84,9 @@ def model_path(path: Path) -> Path:
 
 
 def read_model_files(path: Path) -> ModelFiles:
-    """Read a model file, MJCF or URDF, and find the files that it names.
-
-    Raises:
-        HandModelError: there is no such file, its path is not UTF-8, or it names a pipe, a device
-            or more than ``MOST_NAMES`` files.
-    """
+    """Read a model file, MJCF or URDF, and find the files that it names; HandModelError if there is
+    no such file, its path is not UTF-8, or it names a pipe, a device or more than ``MOST_NAMES``
+    files."""
     reader = _Reader(model_path(path))
     for document in reader.pending:  # grows during the loop
         reader.read(document)

@@ -94,12 +94,8 @@ def read_hand_spec(path: str | Path) -> HandSpec:
 
 
 def check_hand_name(name: str) -> str:
-    """Returns a hand's name if it is valid.
-
-    Raises:
-        HandModelError: it has other characters than letters, digits, ``_`` and ``-``, or more than
-            ``MOST_NAME``.
-    """
+    """Returns a hand's name if it is valid; HandModelError if it has other characters than letters,
+    digits, ``_`` and ``-``, or more than ``MOST_NAME``."""
     if len(name) > MOST_NAME:
         raise HandModelError(
             f"a hand can't be named {brief(name)}: the name has {len(name)} characters; "

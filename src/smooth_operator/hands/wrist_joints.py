@@ -23,12 +23,8 @@ MOST_WRIST_JOINTS: Final = 2
 
 def with_wrist_joints(hand: Hand) -> Hand:
     """The same hand with its wrist joints as further actuated joints, behind all others; a hand
-    that has no wrist joints, or already has them so, is returned as it is.
-
-    Raises:
-        HandModelError: there are more than two wrist joints, or one of them is not a limited hinge
-            above the palm.
-    """
+    that has no wrist joints, or already has them so, is returned as it is. HandModelError if there
+    are more than two wrist joints, or one of them is not a limited hinge above the palm."""
     names = hand.spec.wrist_joints
     check_wrist_joints(hand)
     if not names or names[0] in hand.joint_names:

@@ -135,11 +135,8 @@ def _message_class() -> tuple[Any, type[Exception]]:
 
 
 def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
-    """Hands of an encoded ``HandUpdate`` that the headset has seen, left first.
-
-    Raises:
-        RecordingError: the message is damaged, or a hand has too few joints.
-    """
+    """Hands of an encoded ``HandUpdate`` that the headset has seen, left first; RecordingError if
+    the message is damaged, or a hand has too few joints."""
     if len(data) > MOST_BYTES:
         raise RecordingError(f"a message of {len(data)} bytes is too long; at most {MOST_BYTES}")
     update, damaged = _message_class()

@@ -205,11 +205,8 @@ def _hts(path: Path, side: Side | None) -> _Collected:
 
 
 def read_avp_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Reads all hands of a ``tracking.jsonl``, each with its own frames, on one clock.
-
-    Raises:
-        RecordingError: there is no hand in it.
-    """
+    """Reads all hands of a ``tracking.jsonl``, each with its own frames, on one clock;
+    RecordingError if there is no hand in it."""
     return _avp(path, None).recordings(rate, "avp")
 
 

@@ -201,11 +201,8 @@ _MOST_DOTS: Final = 1000  # in one line of TOML; the parser's time grows with th
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parses a TOML text to a table.
-
-    Raises:
-        DocumentError: the text is not TOML, or exceeds a limit as in ``parse_json``.
-    """
+    """Parses a TOML text to a table; DocumentError if the text is not TOML, or exceeds a limit as
+    in ``parse_json``."""
     if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
         raise DocumentError(f"a line has more than {_MOST_DOTS} dots")
     try:

@@ -32,10 +32,7 @@ _CMC: Final = np.array([0.63, 0.408, 0.103, -0.141])  # their shares: least squa
 
 def layout_order(name: str | None) -> tuple[int, ...]:
     """Index of each landmark among the points of a layout; None is the project's own layout.
-
-    Raises:
-        UnknownNameError: there is no such layout.
-    """
+    UnknownNameError if there is no such layout."""
     if name is None:
         return LAYOUTS["mediapipe"]
     if name not in LAYOUTS:
@@ -108,11 +105,7 @@ def doubt(
     layout: str | None = None,
 ) -> Doubt | None:
     """Problem with the shape, order or side of points; None if all are right. The arguments are
-    those of ``check_hand``.
-
-    Raises:
-        UnknownNameError: there is no such layout.
-    """
+    those of ``check_hand``. UnknownNameError if there is no such layout."""
     order = layout_order(layout)
     believed = layout is not None and order == LAYOUTS["mediapipe"]
     whole = np.isfinite(points).all(axis=(1, 2))

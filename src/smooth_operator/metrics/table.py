@@ -88,11 +88,7 @@ class Metric:
         return _DIRECTIONS[self.goal][1]
 
     def of(self, result: Mapping[str, object]) -> object:
-        """This metric's value in a result.
-
-        Raises:
-            UnknownNameError: if the result has no such key.
-        """
+        """This metric's value in a result; UnknownNameError if the result has no such key."""
         value: object = result
         for key in self.name.split("."):
             if not isinstance(value, Mapping) or key not in value:

@@ -235,11 +235,8 @@ class PersistentPool(Generic[T, R]):
                 self._bury(worker)
 
     def _bury(self, worker: _Worker) -> bool:
-        """Clean up after the death of a worker; False if it died before its first task.
-
-        Raises:
-            WorkerError: workers repeatedly die at their start.
-        """
+        """Clean up after the death of a worker; False if it died before its first task. WorkerError
+        if workers repeatedly die at their start."""
         _end([worker])
         self._all.remove(worker)
         if worker.started():

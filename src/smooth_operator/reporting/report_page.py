@@ -131,10 +131,7 @@ Section = tuple[str, str, Html]
 @cache
 def templates(package: str) -> Environment:
     """Loads Jinja2 templates next to the modules of a package; inserted values are escaped.
-
-    Raises:
-        MissingExtraError: Jinja2 is not installed.
-    """
+    MissingExtraError if Jinja2 is not installed."""
     require("a report", "lab", "jinja2")
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

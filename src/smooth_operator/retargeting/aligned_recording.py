@@ -40,11 +40,8 @@ def align_recording(
 
 
 def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
-    """Estimates the scale of an operator: the median of the per-frame estimates.
-
-    Raises:
-        RecordingError: if no frame has a usable palm.
-    """
+    """Estimates the scale of an operator: the median of the per-frame estimates; RecordingError if
+    no frame has a usable palm."""
     valid = np.all(_validity(recording)[:, list(hand.align_indices)], axis=1)
     if valid.any():
         fit = palm_alignment(recording.landmarks[valid], hand)

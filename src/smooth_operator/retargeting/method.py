@@ -152,18 +152,12 @@ class MethodConfig(ABC):
 
     @abstractmethod
     def build(self, hand: Hand) -> Method:
-        """The method for one hand.
-
-        Raises:
-            SmoothOperatorError: the method can't be used with the hand, for the given reason.
-        """
+        """The method for one hand; SmoothOperatorError if the method can't be used with the hand,
+        for the given reason."""
 
     def with_alignment(self: C, **changes: Any) -> C:
-        """Returns these settings with some fields of ``AlignmentConfig`` replaced.
-
-        Raises:
-            ConfigError: a value is out of range.
-        """
+        """Returns these settings with some fields of ``AlignmentConfig`` replaced; ConfigError if a
+        value is out of range."""
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
     def with_file(self: C, path: Path) -> C | None:

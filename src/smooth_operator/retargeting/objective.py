@@ -93,10 +93,7 @@ class Term:
 
     def build(self: T, hand: Hand) -> T:
         """Returns the term for one hand; the term itself if it does not depend on the hand.
-
-        Raises:
-            ConfigError: if the hand lacks what the term needs.
-        """
+        ConfigError if the hand lacks what the term needs."""
         del hand
         return self
 

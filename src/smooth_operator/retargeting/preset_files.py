@@ -132,11 +132,7 @@ class PresetFile:
 
 
 def read_preset_file(path: Path) -> PresetFile:
-    """Reads a preset file.
-
-    Raises:
-        ConfigError: the file does not exist or is not a preset file.
-    """
+    """Reads a preset file; ConfigError if the file does not exist or is not a preset file."""
     entries = read_entries(path, "preset file", most_bytes=_MOST_BYTES)
     entries.check_format(FORMAT)
     entries.only("format", "method", "base", "settings", "made")

@@ -370,11 +370,8 @@ class SharedProgram(NamedTuple):
 
 def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
     """Returns the program of a frame for a hand, or for its mirror image if the hand is described
-    as one. With ``cache``, it is read from the user's cache and stored there.
-
-    Raises:
-        SmoothOperatorError: the method can't be used with the hand.
-    """
+    as one. With ``cache``, it is read from the user's cache and stored there. SmoothOperatorError
+    if the method can't be used with the hand."""
     if not config.shareable:
         return _built(hand, config, False, cache)
     reflects = hand.spec.mirror

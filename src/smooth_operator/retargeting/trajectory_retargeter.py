@@ -354,11 +354,8 @@ class TrajectoryRetargeter:
 
 
 def check_method(config: MethodConfig, hand: Hand) -> None:
-    """Checks that a method can be used with a hand, frame by frame or for whole recordings.
-
-    Raises:
-        SmoothOperatorError: it can't be used, for the given reason.
-    """
+    """Checks that a method can be used with a hand, frame by frame or for whole recordings;
+    SmoothOperatorError if it can't be used, for the given reason."""
     if isinstance(config, TrajectoryMethodConfig):
         _objective(config.causal.build(hand))
     else:

@@ -16,11 +16,7 @@ from smooth_operator.settings import LARGEST, check_range
 
 
 def check_seed(name: str, value: int) -> None:
-    """Refuse a seed that is not a whole number of at least 0.
-
-    Raises:
-        ConfigError: the seed is refused; the message names the setting and the value.
-    """
+    """ConfigError for a seed that is not a whole number of at least 0."""
     try:
         good = operator.index(value) >= 0
     except TypeError:

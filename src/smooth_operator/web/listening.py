@@ -18,11 +18,8 @@ work.
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Opens a listening socket; port 0 chooses any free port.
-
-    Raises:
-        OSError: the address does not belong to this machine, or the port is in use.
-    """
+    """Opens a listening socket; port 0 chooses any free port. OSError if the address does not
+    belong to this machine, or the port is in use."""
     family, _, _, _, address = socket.getaddrinfo(
         host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
     )[0]
@@ -61,11 +58,8 @@ class LimitedListener(socket.socket):
         self._change = threading.Lock()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Returns the next connection within the limits.
-
-        Raises:
-            BlockingIOError: there is no such connection now.
-        """
+        """Returns the next connection within the limits; BlockingIOError if there is no such
+        connection now."""
         for _ in range(_REFUSED_IN_A_ROW):
             connection, address = super().accept()
             host = str(address[0])

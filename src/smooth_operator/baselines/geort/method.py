@@ -194,11 +194,8 @@ def human_tips(hand: Hand) -> tuple[int, ...]:
 
 def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
     """Indices of the actuated joints that move a single fingertip, per finger, thumb first. Others,
-    such as a common spread, have no network and stay at neutral.
-
-    Raises:
-        HandModelError: a finger has no joint of its own.
-    """
+    such as a common spread, have no network and stay at neutral. HandModelError if a finger has no
+    joint of its own."""
     matrix = hand.transmission.matrix
     moves = np.zeros((len(hand.fingers), len(hand.actuated)), bool)
     for row, name in zip(moves, hand.tip_names, strict=True):
@@ -297,11 +294,8 @@ def training_command(hand: Hand) -> str:
 
 
 def read_geort_model(path: str | Path) -> GeortModel:
-    """Reads a model file from ``write_geort_model``, without unpickling.
-
-    Raises:
-        ConfigError: the file does not exist, is damaged, or is not a model.
-    """
+    """Reads a model file from ``write_geort_model``, without unpickling; ConfigError if the file
+    does not exist, is damaged, or is not a model."""
     path = Path(path)
     expectation = "expected the model.npz that `smooth-operator train geort` writes"
     if not path.is_file():

@@ -24,11 +24,8 @@ def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray,
 
 
 def write_geort_model(path: str | Path, model: GeortModel) -> None:
-    """Writes a model atomically, as an ``.npz`` of plain arrays.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
+    """Writes a model atomically, as an ``.npz`` of plain arrays; OutputError if the file can't be
+    written."""
     about = {
         "format": FORMAT,
         "version": VERSION,

@@ -255,11 +255,8 @@ class GeortTrainer:
         return -(-int(self.data.train.counts.max()) // self.settings.batch)
 
     def epochs(self, state: TrainingState) -> Iterator[TrainingState]:
-        """Yields the state after each remaining epoch.
-
-        Raises:
-            SmoothOperatorError: the losses are not finite.
-        """
+        """Yields the state after each remaining epoch; SmoothOperatorError if the losses are not
+        finite."""
         for epoch in range(int(state.epoch), self.settings.epochs):
             data = self.data
             batches = draw_batches(
@@ -524,11 +521,8 @@ class TrainingSession:
 
 
 def write_curves(path: Path, state: TrainingState) -> None:
-    """Writes the losses of all finished epochs as CSV: epoch, then train_ and validation_ columns.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
+    """Writes the losses of all finished epochs as CSV: epoch, then train_ and validation_ columns;
+    OutputError if the file can't be written."""
     names = ("loss", *LOSSES)
     columns = [f"{kind}_{n}" for kind in ("train", "validation") for n in names]
     done = int(state.epoch)
@@ -546,23 +540,16 @@ VERSION: Final = 1
 
 
 def write_checkpoint(path: Path, trainer: GeortTrainer, state: TrainingState) -> None:
-    """Writes the state of a training, to resume it.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
+    """Writes the state of a training, to resume it; OutputError if the file can't be written."""
     leaves = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
     with atomic_write(path) as file:
         np.savez(file, allow_pickle=False, about=np.array(to_json(_identity(trainer))), **leaves)
 
 
 def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
-    """Reads a file of ``write_checkpoint`` for the same training.
-
-    Raises:
-        ConfigError: the file does not exist, is damaged, or belongs to another hand, other data or
-            other settings; the message names them.
-    """
+    """Reads a file of ``write_checkpoint`` for the same training. ConfigError if the file does not
+    exist, is damaged, or belongs to another hand, other data or other settings; the message names
+    them."""
     path = Path(path)
     if not path.is_file():
         raise ConfigError(f"{path}: there is no checkpoint to resume from; start without --resume")

@@ -63,11 +63,8 @@ _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
 
 
 def write_summary(rows: Sequence[Row], settings: Settings) -> Path:
-    """Writes ``summary.md``: the main table for each hand, with its sample, date and command.
-
-    Raises:
-        OutputError: it can't be written.
-    """
+    """Writes ``summary.md``: the main table for each hand, with its sample, date and command;
+    OutputError if it can't be written."""
     path = settings.output / SUMMARY
     with atomic_write(path) as file:
         file.write(summary_text(rows, settings).encode())

@@ -125,12 +125,8 @@ class VideoHead:
 
 
 def video_head(path: Path) -> VideoHead:
-    """Reads the tables of an MP4 or QuickTime file.
-
-    Raises:
-        RecordingError: the file does not exist, is not an MP4 file, contains no video, or its
-            frames have different lengths.
-    """
+    """Reads the tables of an MP4 or QuickTime file; RecordingError if the file does not exist, is
+    not an MP4 file, contains no video, or its frames have different lengths."""
     try:
         with path.open("rb") as file:
             tracks = [track for track in _tracks(file, path) if track is not None]
@@ -218,11 +214,8 @@ def _track(boxes: dict[bytes, bytes], path: Path) -> VideoHead | None:
 
 
 def place(source: Path, target: Path, how: str) -> None:
-    """Copies a video, or links it with a hard link or, if that fails, a symbolic link.
-
-    Raises:
-        OSError: it can't be written.
-    """
+    """Copies a video, or links it with a hard link or, if that fails, a symbolic link; OSError if
+    it can't be written."""
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = hidden(target)
     remove(target)  # a link to the same file would stay under its hidden name

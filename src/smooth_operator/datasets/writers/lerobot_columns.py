@@ -95,11 +95,8 @@ class RobotLayout:
         return cls(**{**value, "joints": joints})
 
     def check(self, clip: RobotClip) -> None:
-        """Checks that a clip fits these columns.
-
-        Raises:
-            RecordingError: it has another hand, lacks the wrists, or has other joints.
-        """
+        """Checks that a clip fits these columns; RecordingError if it has another hand, lacks the
+        wrists, or has other joints."""
         name = clip.clip.name
         for side, commands in clip.commands.items():
             if side not in self.joints:

@@ -124,11 +124,8 @@ class _Writer(ShardedWriter):
 
 
 def clips_table(clips: Sequence[RobotClip]) -> Any:
-    """Arrow table of clips as a Parquet file contains it, without configurations.
-
-    Raises:
-        MissingExtraError: PyArrow is not installed.
-    """
+    """Arrow table of clips as a Parquet file contains it, without configurations; MissingExtraError
+    if PyArrow is not installed."""
     pa = arrow()
     rows = [(clip_document(c, c.key or clip_key(c), ""), clip_arrays(c)) for c in clips]
     columns = _columns()

@@ -108,11 +108,8 @@ class ShardedWriter(ABC):
 
     @abstractmethod
     def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
-        """Adds a clip to the shard, and facts about it to its entry in the index.
-
-        Raises:
-            RecordingError: the clip does not fit the format; no part of it was written.
-        """
+        """Adds a clip to the shard, and facts about it to its entry in the index. RecordingError if
+        the clip does not fit the format; no part of it was written."""
 
     @abstractmethod
     def _size(self) -> int:

@@ -340,10 +340,7 @@ def robot_columns(
     episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
 ) -> dict[str, np.ndarray]:
     """Makes a (T,) or (T, k) array for each feature of a ``robot_layout``; see ``episode_columns``.
-
-    Raises:
-        RecordingError: there is no moment with both a command and a measurement.
-    """
+    RecordingError if there is no moment with both a command and a measurement."""
     commands, states = episode.commands, episode.states
     assert commands is not None and states is not None  # noqa: PT018
     joints = [name.removesuffix(".pos") for name in layout["observation.state"] or ()]

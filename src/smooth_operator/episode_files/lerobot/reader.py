@@ -65,11 +65,7 @@ class Dataset:
         return [int(row["episode_index"]) for row in self.episodes]
 
     def row(self, number: int) -> dict[str, Any]:
-        """Returns the row of one episode.
-
-        Raises:
-            ConfigError: there is no episode with that number.
-        """
+        """Returns the row of one episode; ConfigError if there is no episode with that number."""
         for row in self.episodes:
             if row["episode_index"] == number:
                 return row
@@ -79,11 +75,7 @@ class Dataset:
         )
 
     def name_of(self, number: int) -> str:
-        """Returns the name of one episode.
-
-        Raises:
-            ConfigError: there is no episode of that number.
-        """
+        """Returns the name of one episode; ConfigError if there is no episode of that number."""
         own = _own(self.row(number), self.path)
         return str(own.get("name") or f"episode_{number:06d}")
 
@@ -259,11 +251,7 @@ def _object(value: Any, what: str) -> dict[str, Any]:
 
 
 def _names(feature: Mapping[str, Any]) -> list[str]:
-    """Names of the components of a feature.
-
-    Raises:
-        ValueError: the names are not a list of strings.
-    """
+    """Names of the components of a feature; ValueError if the names are not a list of strings."""
     names = feature.get("names")
     if isinstance(names, dict):  # of other programs' columns
         names = None

@@ -38,20 +38,12 @@ QUANTILES: Final = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0
 
 
 def arrow() -> Any:
-    """The module ``pyarrow``.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The module ``pyarrow``; MissingExtraError if it is not installed."""
     return _module("pyarrow")
 
 
 def parquet() -> Any:
-    """The module ``pyarrow.parquet``.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The module ``pyarrow.parquet``; MissingExtraError if it is not installed."""
     return _module("pyarrow.parquet")
 
 
@@ -68,11 +60,8 @@ def column(values: np.ndarray) -> Any:
 
 
 def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
-    """Reads a (T, width) array from a column that ``column`` made or that another program rewrote.
-
-    Raises:
-        RecordingError: there is no such column, or its content is different.
-    """
+    """Reads a (T, width) array from a column that ``column`` made or that another program rewrote;
+    RecordingError if there is no such column, or its content is different."""
     pa = arrow()
     if name not in table.column_names:
         raise RecordingError(
@@ -98,11 +87,8 @@ def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
 
 
 def read_table(path: Path, filters: Any = None) -> Any:
-    """Reads a Parquet file as an Arrow table.
-
-    Raises:
-        RecordingError: the file does not exist or is damaged.
-    """
+    """Reads a Parquet file as an Arrow table; RecordingError if the file does not exist or is
+    damaged."""
     pa, pq = arrow(), parquet()
     try:
         size = check_plain_file(path)

@@ -153,11 +153,7 @@ ARMS: Final[dict[str, ArmSpec]] = {arm.name: arm for arm in (_PANDA, _UR5E, _XAR
 
 
 def arm_named(name: str) -> ArmSpec:
-    """An arm by its name.
-
-    Raises:
-        UnknownNameError: there is no arm of that name.
-    """
+    """An arm by its name; UnknownNameError if there is no arm of that name."""
     if name not in ARMS:
         raise UnknownNameError("arm", name, ARMS)
     return ARMS[name]

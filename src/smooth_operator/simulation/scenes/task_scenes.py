@@ -81,11 +81,7 @@ class CardScene(Scene):
 
 def card_scene(hand: Hand) -> CardScene:
     """Makes the scene with table and card where a finger can press on the table and the thumb reach
-    below.
-
-    Raises:
-        HandModelError: the hand has no such place.
-    """
+    below; HandModelError if the hand has no such place."""
     tips = reachable(hand)
     thumb, others = tips[:, 0], tips[:, 1:3].reshape(-1, 3)
     best: tuple[float, float, float] | None = None
@@ -207,11 +203,7 @@ class CubeScene(Scene):
 
 def cube_scene(hand: Hand) -> CubeScene:
     """Makes the scene with the cube midway between thumb and fingers, its upper half in reach of
-    the tips.
-
-    Raises:
-        HandModelError: no pose has the thumb and the index finger a cube's width apart.
-    """
+    the tips; HandModelError if no pose has the thumb and the index finger a cube's width apart."""
     middle = np.concatenate([opposition(hand, name, CUBE) for name in hand.fingers[1:3]])
     deepest = float(np.quantile(reachable(hand)[:, 1:3, 2], 0.97))  # palmar
     distal, radial = (float(value) for value in np.median(middle[:, :2], axis=0))
@@ -284,11 +276,8 @@ class ScrewdriverScene(Scene):
 
 def screwdriver_scene(hand: Hand) -> ScrewdriverScene:
     """Makes the scene with the screwdriver between thumb and fingers, along their row, blade at the
-    thumb.
-
-    Raises:
-        HandModelError: no pose has the thumb and the index finger a handle's thickness apart.
-    """
+    thumb; HandModelError if no pose has the thumb and the index finger a handle's thickness
+    apart."""
     at = mount(hand, up=(-1, 0, 0), forward=(0, 0, 1), wrist=(0.0, 0.0, _WRIST_HEIGHT))
     between = np.median(opposition(hand, hand.fingers[1], 2 * HANDLE[0]), axis=0)
     centre = at.world(between)

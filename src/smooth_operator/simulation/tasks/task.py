@@ -341,11 +341,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
 def check_name(name: str, what: str) -> str:
-    """Returns a name if it is valid in a table, a file name and an address.
-
-    Raises:
-        StudyError: the name has other characters, or is too long.
-    """
+    """Returns a name if it is valid in a table, a file name and an address; StudyError if the name
+    has other characters, or is too long."""
     if not _NAME.fullmatch(name) or len(name) > 64:
         raise StudyError(
             f"{what} {name!r}: use up to 64 letters, digits, '_', '.' and '-', starting with "
@@ -449,11 +446,8 @@ class Task:
             )
 
     def line(self, name: str) -> RubricLine:
-        """Returns a line of the rubric by its name.
-
-        Raises:
-            UnknownNameError: there is no line with that name.
-        """
+        """Returns a line of the rubric by its name; UnknownNameError if there is no line with that
+        name."""
         lines = {line.name: line for line in self.rubric}
         if name not in lines:
             raise UnknownNameError(f"line in the rubric of task {self.name!r}:", name, lines)
@@ -565,11 +559,8 @@ TASKS: Final[dict[str, SimulatedTask]] = {
 
 
 def task_named(name: str) -> SimulatedTask:
-    """Returns a task by its name here or in the paper (A, B, C).
-
-    Raises:
-        UnknownNameError: there is no such task.
-    """
+    """Returns a task by its name here or in the paper (A, B, C); UnknownNameError if there is no
+    such task."""
     for task in TASKS.values():
         if name in (task.name, task.task.name):
             return task

@@ -145,21 +145,15 @@ class TaskSession:
 
     def reset(self) -> None:
         """Put the object back to its start, at most once in a trial; the score is then at most 0.5.
-
-        Raises:
-            StudyError: no trial is running, or its reset was already used.
-        """
+        StudyError if no trial is running, or its reset was already used."""
         with self._lock:
             self._run = self._run.reset()
             self._since = self._simulation.reset_object(self._side)
             self._record.events.append((self._now, "reset"))
 
     def pause(self, paused: bool) -> None:
-        """Stop or resume the scene of the current trial and its clock.
-
-        Raises:
-            StudyError: no trial is active that could be paused.
-        """
+        """Stop or resume the scene of the current trial and its clock; StudyError if no trial is
+        active that could be paused."""
         with self._lock:
             if paused == self._paused:
                 return
@@ -174,11 +168,7 @@ class TaskSession:
             self._paused = frozen
 
     def finish(self) -> None:
-        """End the trial of an operator who gives up.
-
-        Raises:
-            StudyError: no trial is running.
-        """
+        """End the trial of an operator who gives up; StudyError if no trial is running."""
         with self._lock:
             self._run = self._run.finish(self._now)
             self._record.events.append((self._now, "finish"))
@@ -445,10 +435,7 @@ class TrialRunner:
 
     def reset(self) -> None:
         """Use the one reset of the running trials; if none is running, only put the objects back.
-
-        Raises:
-            StudyError: the reset of a trial was already used, or there is no task.
-        """
+        StudyError if the reset of a trial was already used, or there is no task."""
         with self._lock:
             running = self._running()
             for side, session in running.items():
@@ -458,11 +445,8 @@ class TrialRunner:
                 self.put_back()
 
     def put_back(self) -> None:
-        """Put the objects back to their start, whether or not a trial is running.
-
-        Raises:
-            SinkError: the simulation is closed.
-        """
+        """Put the objects back to their start, whether or not a trial is running; SinkError if the
+        simulation is closed."""
         self._put(True)
 
     def _put(self, there: bool) -> None:
@@ -473,11 +457,7 @@ class TrialRunner:
                 self._simulation.put_away(side)
 
     def finish(self) -> None:
-        """End the running trials of an operator who gives up.
-
-        Raises:
-            StudyError: no trial is running.
-        """
+        """End the running trials of an operator who gives up; StudyError if no trial is running."""
         with self._lock:
             running = self._running()
             if not running:
@@ -486,11 +466,8 @@ class TrialRunner:
                 session.finish()
 
     def pause(self, paused: bool = True) -> None:
-        """Stop or resume the scenes of running trials and their clocks.
-
-        Raises:
-            StudyError: there is no trial to pause, or no task.
-        """
+        """Stop or resume the scenes of running trials and their clocks; StudyError if there is no
+        trial to pause, or no task."""
         with self._lock:
             sessions = self._all()
             if paused and not any(session.active for session in sessions):
@@ -517,10 +494,7 @@ class TrialRunner:
 
     def report(self, side: Side | None = None) -> dict[str, Any]:
         """State of the trial of a hand, by default of the first hand; see ``TaskSession.report``.
-
-        Raises:
-            StudyError: there is no such hand, or no task.
-        """
+        StudyError if there is no such hand, or no task."""
         with self._lock:
             sessions = self._all()
             if side is None:

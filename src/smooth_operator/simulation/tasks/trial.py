@@ -95,22 +95,16 @@ class TaskRun:
         return replace(now, score=RESET_CAP, line=after)
 
     def go(self, time: float) -> Self:
-        """Returns the trial after 'go'; the object must be at its start.
-
-        Raises:
-            StudyError: the trial has started already.
-        """
+        """Returns the trial after 'go'; the object must be at its start. StudyError if the trial
+        has started already."""
         if self.phase is not Phase.READY:
             raise StudyError(f"the trial is {self.phase.value}; start a new one")
         scorer = self.task.scorer(self.scene)
         return replace(self, phase=Phase.RUNNING, started=time, scorer=scorer)
 
     def reset(self) -> Self:
-        """Returns the trial after the one reset of its object; the clock continues.
-
-        Raises:
-            StudyError: the trial is not running, or its reset was already used.
-        """
+        """Returns the trial after the one reset of its object; the clock continues. StudyError if
+        the trial is not running, or its reset was already used."""
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; only a running trial can be reset")
         if self.resets:
@@ -140,11 +134,7 @@ class TaskRun:
         return run
 
     def finish(self, time: float) -> Self:
-        """Returns the trial after the operator ended it.
-
-        Raises:
-            StudyError: the trial is not running.
-        """
+        """Returns the trial after the operator ended it; StudyError if the trial is not running."""
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; it can't be finished")
         return self._done(time, "finished", self.assessment)
@@ -246,11 +236,7 @@ class TrialRecord:
 
 
 def write_trial(path: str | Path, record: TrialRecord) -> None:
-    """Write a trial atomically.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
+    """Write a trial atomically; OutputError if the file can't be written."""
     columns = {name: np.array([getattr(state, name) for state in record.states]) for name in _STATE}
     head = {
         "task": record.task,
@@ -275,11 +261,7 @@ def write_trial(path: str | Path, record: TrialRecord) -> None:
 
 
 def read_trial(path: str | Path) -> TrialRecord:
-    """Read a trial back.
-
-    Raises:
-        StudyError: the file is not a trial.
-    """
+    """Read a trial back; StudyError if the file is not a trial."""
     try:
         arrays = open_arrays(Path(path))
         head = parse_json(arrays["trial"].text())

@@ -150,11 +150,8 @@ class TaskTrials:
 
 
 def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
-    """The sinks of a run, with the simulation of its task.
-
-    Raises:
-        ConfigError: there already is a simulation among the sinks.
-    """
+    """The sinks of a run, with the simulation of its task; ConfigError if there already is a
+    simulation among the sinks."""
     if task is None:
         return tuple(sinks)
     if any(sink.partition(":")[0] == "mujoco" for sink in sinks):

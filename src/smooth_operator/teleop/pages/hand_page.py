@@ -217,9 +217,6 @@ def serve_hand(
     block: bool = True,
 ) -> HandPage:
     """Shows a hand in the browser; see ``HandPage`` and ``serve_page`` for the arguments.
-
-    Raises:
-        ConfigError: the address is not one of this machine's, or no port is free.
-    """
+    ConfigError if the address is not one of this machine's, or no port is free."""
     page = HandPage(hand, notes, drawn=drawn, host=host, port=port).start()
     return serve_page(page, f"showing {hand.name} at", open_browser=open_browser, block=block)

@@ -140,11 +140,8 @@ class PageServer:
         """Called before the port is closed, even if the page was never started."""
 
     def start(self) -> Self:
-        """Opens the port and shows the page; a second call does nothing.
-
-        Raises:
-            ConfigError: the address is not one of this machine's, or no port is free.
-        """
+        """Opens the port and shows the page; a second call does nothing. ConfigError if the address
+        is not one of this machine's, or no port is free."""
         if self._server is not None:
             return self
         self._server = open_server(self._host, self._wanted_port)
@@ -232,11 +229,8 @@ _TRIES = 100
 
 
 def free_port(host: str, port: int) -> int:
-    """Finds the first free port, starting at ``port``; 0 lets the system choose.
-
-    Raises:
-        ConfigError: the address is not one of this machine's, or no port is free.
-    """
+    """Finds the first free port, starting at ``port``; 0 lets the system choose. ConfigError if the
+    address is not one of this machine's, or no port is free."""
     if not 0 <= port <= 65535:
         raise ConfigError(f"port must be in 0..65535, not {port}")
     try:

@@ -154,11 +154,8 @@ def losses(episode: Episode, to: Format) -> list[str]:
 
 
 def format_of(path: Path, to: Format | None) -> Format:
-    """Determines the format of an output.
-
-    Raises:
-        ConfigError: the suffix does not belong to any format, or contradicts ``to``.
-    """
+    """Determines the format of an output; ConfigError if the suffix does not belong to any format,
+    or contradicts ``to``."""
     named = SUFFIXES.get(path.suffix.lower())
     if to is not None:
         if to not in get_args(Format):
@@ -237,12 +234,8 @@ def find_sources(
 
 
 def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool) -> None:
-    """Check that an output can be written, without writing it.
-
-    Raises:
-        OutputError: the output exists and ``overwrite`` is False, or it was not written by this
-            program, or is one of the inputs.
-    """
+    """Check that an output can be written, without writing it; OutputError if the output exists and
+    ``overwrite`` is False, or it was not written by this program, or is one of the inputs."""
     if not os.path.lexists(path):
         return
     if any(entry.exists() and entry.samefile(path) for entry in inputs if path.exists()):

@@ -92,11 +92,8 @@ class CalibrationSession:
         return Moment(prompt, number, phase if in_sight else "wait", self._spent / total, left)
 
     def recording(self) -> HandRecording:
-        """All frames, stamped with their times of arrival.
-
-        Raises:
-            RecordingError: no frame has arrived.
-        """
+        """All frames, stamped with their times of arrival; RecordingError if no frame has
+        arrived."""
         if not self._frames:
             raise RecordingError(
                 f"no frame of a {self.side} hand arrived from the tracker; check that the "

@@ -331,10 +331,7 @@ def added_latency(log: Log) -> Float[np.ndarray, " F"]:
 
 def log_timing(log: Log) -> dict[str, Any]:
     """Statistics of a log's stages, rate, modes and events, JSON-serialisable; times in ms.
-
-    Raises:
-        RecordingError: the log holds no commands.
-    """
+    RecordingError if the log holds no commands."""
     if log.commands is None:
         raise RecordingError("the log contains no commands, so there are no times to measure")
     figures: dict[str, Any] = {

@@ -111,11 +111,7 @@ class RecordSink(Sink):
         self._set(_recorder=recorder, _history=(*self._history, *files.values()))
 
     def send(self, tick: Tick) -> None:
-        """Put a tick into the buffer.
-
-        Raises:
-            OutputError: the disk is full or gone; raised once.
-        """
+        """Put a tick into the buffer. OutputError if the disk is full or gone; raised once."""
         if self._recorder is None:
             raise SinkError(f"{self.label}: it is not open")
         self._recorder.put(tick)
@@ -126,11 +122,8 @@ class RecordSink(Sink):
             self._recorder.silence(seconds)
 
     def close(self) -> None:
-        """Write pending ticks, and finish the files.
-
-        Raises:
-            OutputError: the files could not be finished; flushed parts stay readable.
-        """
+        """Write pending ticks, and finish the files. OutputError if the files could not be
+        finished; flushed parts stay readable."""
         recorder = self._recorder
         if recorder is None:
             return
@@ -215,11 +208,8 @@ class Recorder:
         self._thread.start()
 
     def put(self, tick: Tick) -> None:
-        """Put a tick into the buffer.
-
-        Raises:
-            OutputError: the disk failed; raised once, then ticks are only counted.
-        """
+        """Put a tick into the buffer. OutputError if the disk failed; raised once, then ticks are
+        only counted."""
         with self._change:
             error, self._error = self._error, None
             if error is not None:
@@ -375,11 +365,8 @@ SUFFIX = ".mcap"
 
 
 def is_folder(path: Path) -> bool:
-    """True if a path names a folder of takes: it is a folder, or has no suffix.
-
-    Raises:
-        ConfigError: its suffix is not that of a log.
-    """
+    """True if a path names a folder of takes: it is a folder, or has no suffix; ConfigError if its
+    suffix is not that of a log."""
     if path.is_dir() or not path.suffix:
         return True
     if path.suffix.lower() != SUFFIX:

@@ -122,11 +122,7 @@ class Simulation(Sink):
         before.end()
 
     def send(self, tick: Tick) -> None:
-        """Set the targets of the servos.
-
-        Raises:
-            SinkError: the simulation has ended.
-        """
+        """Set the targets of the servos; SinkError if the simulation has ended."""
         if self._world is None:
             raise SinkError("mujoco: it is not open")
         arm = None if tick.arm is None else tick.arm.positions
@@ -179,11 +175,8 @@ class Simulation(Sink):
         return physics.carried.base
 
     def scene_of(self, side: Side) -> Scene:
-        """The scene around a hand.
-
-        Raises:
-            SinkError: the simulation is closed, has no such hand, or no task.
-        """
+        """The scene around a hand; SinkError if the simulation is closed, has no such hand, or no
+        task."""
         return self._scene(side).scene
 
     def hand_of(self, side: Side) -> Hand:
@@ -340,11 +333,7 @@ class World:
         positions: Float[np.ndarray, " n"],
         arm: Float[np.ndarray, " a"] | None,
     ) -> None:
-        """Set new servo targets for a hand and its arm.
-
-        Raises:
-            SinkError: the simulation has ended.
-        """
+        """Set new servo targets for a hand and its arm; SinkError if the simulation has ended."""
         if self._error is not None:
             raise SinkError(f"mujoco: the simulation ended: {self._error}") from self._error
         with self.changed:

@@ -194,11 +194,7 @@ class ThreadedSink(Sink):
         self._set(_now=_Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
-        """Leave a command for the thread.
-
-        Raises:
-            SinkError: the thread gave up, with its reason.
-        """
+        """Leave a command for the thread; SinkError if the thread gave up, with its reason."""
         sender = self._sender()
         if sender is None:
             raise SinkError(f"{self.label}: it is not open")

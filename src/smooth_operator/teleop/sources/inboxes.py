@@ -52,11 +52,8 @@ class Inbox(ABC):
 
     @abstractmethod
     def receive(self, timeout: float) -> list[Message]:
-        """Waits up to ``timeout`` [s], and returns the newest messages in order.
-
-        Raises:
-            SourceError: the socket failed.
-        """
+        """Waits up to ``timeout`` [s], and returns the newest messages in order; SourceError if the
+        socket failed."""
 
     @abstractmethod
     def close(self) -> None:

@@ -387,12 +387,8 @@ def read_points(
 def points_of_matrices(
     matrices: Float[np.ndarray, "n 4 4"], what: str, order: MatrixOrder = "auto"
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
-    """Positions and quaternions wxyz of transforms; NaN where a matrix has NaN.
-
-    Raises:
-        RecordingError: 0 0 0 1 is not in the row or column that ``order`` says, or a matrix is
-            not rigid.
-    """
+    """Positions and quaternions wxyz of transforms; NaN where a matrix has NaN. RecordingError if 0
+    0 0 1 is not in the row or column that ``order`` says, or a matrix is not rigid."""
     whole = np.isfinite(matrices).all(axis=(1, 2))
     complete = matrices[whole]
     by_rows, by_columns = (
@@ -476,12 +472,9 @@ _NAMES: Final = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns
 
 
 def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | None:
-    """Reads ``stamp`` or ``timestamp`` of a message [s]; None without a stamp.
-
-    Raises:
-        RecordingError: the stamp is not a finite number, or is far too large for a time in this
-            unit; the error names the setting ``stamp_unit``.
-    """
+    """Reads ``stamp`` or ``timestamp`` of a message [s]; None without a stamp. RecordingError if
+    the stamp is not a finite number, or is far too large for a time in this unit; the error names
+    the setting ``stamp_unit``."""
     stamp = message.get("stamp", message.get("timestamp"))
     if stamp is None:
         return None

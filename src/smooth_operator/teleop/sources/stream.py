@@ -31,11 +31,8 @@ _SIDES: Final[dict[str, tuple[Side, ...]]] = {
 
 
 def sides_of(hands: str) -> tuple[Side, ...]:
-    """Converts ``right``, ``left`` or ``both`` to a tuple of sides.
-
-    Raises:
-        ConfigError: the text is none of these.
-    """
+    """Converts ``right``, ``left`` or ``both`` to a tuple of sides; ConfigError if the text is none
+    of these."""
     if hands not in _SIDES:
         raise ConfigError(f"side must be 'right', 'left' or 'both', not {hands!r}")
     return _SIDES[hands]

@@ -196,11 +196,8 @@ class LivePage:
 
     @property
     def url(self) -> str:
-        """Address of the page with its token; waits until the port is open.
-
-        Raises:
-            ConfigError: the page can't be served at the address.
-        """
+        """Address of the page with its token; waits until the port is open. ConfigError if the page
+        can't be served at the address."""
         return self._address.result()
 
     def serve(self, session: LiveSession) -> str:

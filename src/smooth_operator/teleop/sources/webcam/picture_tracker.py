@@ -76,10 +76,7 @@ class PictureTracker:
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
         """Finds the hands in a picture, at most one of each side; ``time`` [s] becomes their stamp.
-
-        Raises:
-            SourceError: MediaPipe failed.
-        """
+        SourceError if MediaPipe failed."""
         return [
             HandFrame(landmarks_of(hand, self._config.points), time, side, valid=hand.inside)
             for side, hand in self.hands(pixels, time).items()
