@@ -1,6 +1,8 @@
 """Joints between forearm and palm: their angles, limits and reference, and their names in files."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,6 +16,9 @@ from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
 from smooth_operator.datasets.writers.registry import WritingOptions
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.clip import Clip
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.joints import check_wrist_joints
+from smooth_operator.hand_discovery.landmarks import Discovery
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.spec_file import read_hand_spec
@@ -33,6 +38,8 @@ from smooth_operator.types import HandRecording
 from smooth_operator.wrist_following import WristFollower, palm_motion
 
 PERIOD = 0.01
+AXES = ("1 0 0", "0 1 0", "0 0 1")
+"""Axes in the palm frame of ORCA that flex the wrist, deviate it, and turn it about the forearm."""
 LIMITS = LimitsConfig(velocity=2.0, acceleration=40.0)
 REFERENCE = poses.from_rotation_vectors(np.array([0.4, -0.7, 1.1]))  # any orientation in the room
 
@@ -112,6 +119,42 @@ def test_the_wrist_joints_are_those_between_forearm_and_palm(tmp_path):
             with_wrist_joints(load_hand_spec(described(*wrong)))
     with pytest.raises(UnknownNameError, match="rh_WRJ3"):
         load_hand_spec(described("rh_WRJ3"))
+
+
+def discovered(folder: Path, joints: str) -> Discovery:
+    """What is found in the model of ORCA with other joints between base and palm."""
+    model = load_hand("orca_v1").spec.model.read_text(encoding="utf-8")
+    own = re.search(r'<joint name="right_wrist"[^>]*/>', model)
+    assert own is not None
+    path = folder / "orca.xml"
+    path.write_text(model.replace(own[0], joints), encoding="utf-8")
+    return discover(path)
+
+
+def hinge(name: str, axis: str, ends: str = "-0.6 0.6") -> str:
+    return f'<joint name="{name}" axis="{axis}" range="{ends}"/>'
+
+
+def test_hands_add_finds_the_wrist_joints_and_hands_check_names_them(tmp_path):
+    flexes, deviates, rolls = (hinge(*each) for each in zip("fdr", AXES, strict=True))
+    found = discovered(tmp_path, rolls + deviates + flexes)
+    assert found.spec.wrist_joints == ("d", "f")
+    check = check_wrist_joints(load_hand_spec(found.spec))
+    assert (check.verdict, check.measured) == ("ok", "d -34° to 34°, f -34° to 34°")
+    rolling = load_hand_spec(replace(found.spec, wrist_joints=("r", "d")))
+    assert "'r' turns about the forearm" in check_wrist_joints(rolling).measured
+    named = discovered(tmp_path, hinge("wrist", AXES[0]))
+    (finding,) = (f for f in named.findings if f.subject == "wrist joints")
+    assert (finding.value, finding.confidence) == ("wrist", 0.95)
+    arm = discovered(tmp_path, "".join(hinge(f"j{i}", AXES[i % 3]) for i in range(6)))
+    assert arm.spec.wrist_joints == ()
+
+
+def test_hands_show_lists_the_wrist_joints(run):
+    status, out, _ = run("hands", "show", "orca_v1", "--no-view")
+    assert status == 0
+    assert "wrist joints: right_wrist\n" in out
+    assert "right_wrist  -0.6736" in re.sub(" +", "  ", out)
 
 
 @pytest.fixture(scope="module")

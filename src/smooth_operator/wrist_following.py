@@ -24,7 +24,7 @@ from smooth_operator.simulation.arms.arm import hand_directions
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 _DISTAL: Final = np.array([1.0, 0.0, 0.0])  # in the wrist frame of docs/reference/conventions.md
-_MOST_ALONG: Final = 0.9
+MOST_ALONG: Final = 0.9
 """Largest cosine between the forearm and the axis of a wrist joint; a joint above it pronates."""
 
 
@@ -54,7 +54,7 @@ class WristSolver:
         to_wrist = wrist @ data.body(hand.spec.palm).xmat.reshape(3, 3).T
         self._axes = [to_wrist @ data.joint(name).xaxis for name in names]
         for name, axis in zip(names, self._axes, strict=True):
-            if abs(axis[0]) > _MOST_ALONG:
+            if abs(axis[0]) > MOST_ALONG:
                 raise HandModelError(
                     f"hand {hand.name!r}: the wrist joint {name!r} turns about the forearm, but "
                     "only joints that flex or deviate the wrist can follow the operator; leave it "

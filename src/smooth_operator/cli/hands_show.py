@@ -102,12 +102,14 @@ def describe(hand: Hand) -> dict[str, Any]:
     import numpy as np
 
     from smooth_operator.hands.spec_file import POINTS
+    from smooth_operator.hands.wrist_joints import with_wrist_joints
     from smooth_operator.teleop.joint_rows import joint_rows
 
     spec, followed = hand.spec, {c.joint: c for c in hand.couplings}
+    whole = with_wrist_joints(hand)
     joints = []
-    torques = _torques(hand)
-    for row in joint_rows(hand):
+    torques = _torques(whole)
+    for row in joint_rows(whole):
         joint: dict[str, Any] = {
             "name": row.name,
             "limits": [row.low, row.high] if np.isfinite([row.low, row.high]).all() else None,
@@ -132,6 +134,7 @@ def describe(hand: Hand) -> dict[str, Any]:
         "model": str(spec.model),
         "palm": spec.palm,
         "wrist": _point(spec.wrist),
+        "wrist_joints": list(spec.wrist_joints),
         "align": list(spec.align),
         "fingers": {
             finger.name: {
@@ -162,6 +165,7 @@ def _print_tables(hand: Hand) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
+    from smooth_operator.hands.wrist_joints import with_wrist_joints
     from smooth_operator.teleop.joint_rows import joint_rows
 
     spec = hand.spec
@@ -179,13 +183,17 @@ def _print_tables(hand: Hand) -> None:
         f"{len(hand.joint_names)}; aligned by {', '.join(spec.align)}"
     )
 
-    say("\njoints, in the order of the model")
-    joints, torques = plain_table(), _torques(hand)
+    if spec.wrist_joints:
+        say(f"wrist joints: {', '.join(spec.wrist_joints)}")
+
+    say("\njoints, in the order of the model, wrist joints last")
+    whole = with_wrist_joints(hand)
+    joints, torques = plain_table(), _torques(whole)
     headers = ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "torque [N m]", "follows")
     for header in headers:
         justify: Literal["left", "right"] = "right" if "[" in header else "left"
         joints.add_column(Text(header), justify=justify, no_wrap=True)
-    for row in joint_rows(hand):
+    for row in joint_rows(whole):
         joints.add_row(
             Text(row.name),
             f"{row.low:.4f}",

@@ -11,7 +11,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.errors import HandModelError, UnknownNameError, counted
 from smooth_operator.hand_discovery.branches import Branches, Chain, HandTree, Tip, find_tip, holds
 from smooth_operator.hand_discovery.gripper import find_jaws, gripper_palm
 from smooth_operator.hand_discovery.landmarks import (
@@ -35,13 +35,22 @@ from smooth_operator.hand_discovery.motion import (
     find_thumb,
     sample_reach,
 )
-from smooth_operator.hand_discovery.skeleton import Skeleton, fingers_said, read_skeleton, side_said
+from smooth_operator.hand_discovery.skeleton import (
+    Placement,
+    Skeleton,
+    fingers_said,
+    read_skeleton,
+    says_wrist,
+    side_said,
+)
 from smooth_operator.hands.loading import NO_ROOM, driven_joints, shared_range
 from smooth_operator.hands.model_assets import model_path
 from smooth_operator.hands.spec import Coupling, FingerSpec, HandSpec, Point
 from smooth_operator.hands.spec_file import MOST_NAME
+from smooth_operator.hands.wrist_joints import MOST_WRIST_JOINTS
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
+from smooth_operator.wrist_following import MOST_ALONG
 
 _EITHER_JAW: Final = 0.9  # confidence of a gripper's thumb: either jaw may have that name
 _TURNS: Final = 4 * np.pi  # range that no joint of a finger has [rad]
@@ -261,6 +270,7 @@ def _described(
     if overrules.wrist is not None:
         skeleton.body(overrules.wrist.body)  # fails for an unknown body
         wrist, wrist_sure, wrist_why = overrules.wrist, 1.0, ("given",)
+    wrist_joints, wrist_joints_finding = _wrist_joints(analysis, at)
     gripper = len(chains) == 2 and (overrules.gripper is not None or not layout.sided)
     spec = HandSpec(
         name=name or hand_name(path),
@@ -274,6 +284,7 @@ def _described(
         neutral=neutral,
         gripper=gripper,
         couplings=overrules.couplings,
+        wrist_joints=wrist_joints,
     )
     moved = frozenset(j for chain in chains for j in chain.joints)
     coupled, coupled_finding = find_couplings(skeleton, moved, overrules.couplings)
@@ -332,6 +343,7 @@ def _described(
         ),
         coupled_finding,
         Finding("wrist", _place(wrist), wrist_sure, wrist_why, "--wrist BODY:x,y,z (metres)"),
+        *wrist_joints_finding,
         bases_finding(moved_bases),
         Finding(
             "neutral",
@@ -598,11 +610,8 @@ def _palm_finding(
     if nested:
         palm_why.append(f"{', '.join(nested)} share a joint inside the palm")
         palm_sure = 0.85
-    above = [j for b in skeleton.path(tree.palm) for j in skeleton.joints_of(b)]
-    if above:
-        palm_why.append(
-            f"{len(above)} joints lead to it: an arm or wrist, which is not part of the hand"
-        )
+    if above := _above_palm(analysis):
+        palm_why.append(f"joints of a wrist or an arm lead to it: {len(above)}")
     if hands > 1:
         palm_why.append(f"one of {hands} hands in the file, selected by its side")
     if tree.left_out:
@@ -612,6 +621,40 @@ def _palm_finding(
         palm_sure, palm_why = 1.0, ["given"]
     value = skeleton.body_name(tree.palm)
     return Finding("palm", value, round(palm_sure, 2), tuple(palm_why), "--palm BODY")
+
+
+def _above_palm(analysis: _Analysis) -> list[int]:
+    """Joints that move the whole palm, from the base on."""
+    skeleton = analysis.skeleton
+    return [j for b in skeleton.path(analysis.tree.palm) for j in skeleton.joints_of(b)]
+
+
+def _wrist_joints(
+    analysis: _Analysis, at: Placement
+) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
+    """Names of the wrist joints, and the finding if joints lead to the palm.
+
+    More joints than those of a wrist and a turning forearm are an arm's.
+    """
+    skeleton, above = analysis.skeleton, _above_palm(analysis)
+    forward = analysis.layout.forward
+    names = tuple(
+        skeleton.joint_names[j]
+        for j in above
+        if skeleton.turns[j] and skeleton.bounded[j] and j not in skeleton.leaders
+        if abs(at.axes[j] @ forward) <= MOST_ALONG
+    )
+    if not above:
+        return (), ()
+    sure, why = 0.8, f"{counted(len(above), 'joint')} between base and palm"
+    if len(above) > MOST_WRIST_JOINTS + 1 or len(names) > MOST_WRIST_JOINTS:
+        names, why = (), f"{why}: more than a wrist has, so they are an arm's"
+    elif not names:
+        why += ", but none that flexes or deviates the wrist within limits"
+    elif all(map(says_wrist, names)):
+        sure, why = 0.95, f"{why}; the names say so"
+    value, advice = ", ".join(names) or "none", "edit wrist_joints in the spec file"
+    return names, (Finding("wrist joints", value, sure, (why,), advice),)
 
 
 def _place(point: Point) -> str:

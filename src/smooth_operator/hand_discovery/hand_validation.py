@@ -32,6 +32,7 @@ from smooth_operator.hand_discovery.joints import (
     check_size,
     check_tilt,
     check_wrist,
+    check_wrist_joints,
 )
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
@@ -460,6 +461,8 @@ def _checks(
     yield (size := check_size(samples))
     yield (palm := check_palm(samples))
     yield check_wrist(samples)
+    if hand.spec.wrist_joints:
+        yield check_wrist_joints(hand)
     yield (ranges := check_ranges(hand))
     motion = _after("joints used", ranges) if ranges.verdict == "failed" else check_motion(samples)
     yield motion

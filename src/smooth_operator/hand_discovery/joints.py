@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.checks import Check, Samples, Verdict, worst
 from smooth_operator.hands.collision import PALM, owners, solid_shapes
 from smooth_operator.hands.hand import Hand, finger_rays
@@ -18,6 +19,7 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
 from smooth_operator.retargeting.palm import human_palm_axes
+from smooth_operator.wrist_following import WristSolver
 
 _TURN: Final = 2 * np.pi  # largest range of a finger's hinge [rad]; above, these are degrees
 _WIDE: Final = 3.6  # largest usual range [rad]; LEAP has 3.2
@@ -306,6 +308,18 @@ def check_tilt(samples: Samples) -> Check:
     way = "towards the palm" if tilt > 0 else "to the back of the hand"
     text = f"a flat human hand bends the straight fingers by {abs(tilt):.0f}° {way}"
     return Check("palm tilt", "unjudged", text, "", {"tilt_deg": round(tilt, 1)})
+
+
+def check_wrist_joints(hand: Hand) -> Check:
+    """Checks that the joints between forearm and palm can follow a human wrist."""
+    names = hand.spec.wrist_joints
+    check = partial(Check, "wrist joints", figures={"joints": list(names)})
+    try:
+        limits = np.degrees(WristSolver(hand).limits)
+    except HandModelError as error:
+        return check("failed", str(error), "correct wrist_joints in the spec file")
+    ends = zip(names, limits.tolist(), strict=True)
+    return check("ok", ", ".join(f"{name} {low:.0f}° to {high:.0f}°" for name, (low, high) in ends))
 
 
 def check_size(samples: Samples) -> Check:

@@ -121,6 +121,7 @@ class Discovery:
                 for one in self.coupled
             ],
             "wrist": {"body": spec.wrist.body, "offset": list(spec.wrist.offset)},
+            "wrist_joints": list(spec.wrist_joints),
             "align": list(spec.align),
             "neutral": dict(spec.neutral),
             "confidence": {f.subject: f.confidence for f in self.findings},
