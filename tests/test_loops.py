@@ -16,6 +16,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator_devices.hands.actuator_map import BoundMap, find_table, read_table
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -272,3 +273,18 @@ def test_the_amazing_hand_is_a_right_hand_of_four_fingers(run, shared, tmp_path,
     assert len(errors) == 4
     assert errors.max() < 0.3  # degree 4 of the last joint's angle over its leader's
     assert worst_tip_error(shared / AMAZING, hand, 6) < 0.15e-3
+    check_motors(ClosedLoops(shared / AMAZING), hand)
+
+
+def check_motors(loops: ClosedLoops, hand: Hand) -> None:
+    """The table of the real hand gives the motors of the leaders, and the leaders of the motors."""
+    bound = BoundMap(read_table(find_table("amazing_hand", "feetech", "right")), hand)
+    per_radian, rng = 1024 / np.radians(300), np.random.default_rng(0)
+    for _ in range(2):
+        bend, side = np.radians([rng.uniform(-40, 70, 4), rng.uniform(-20, 20, 4)])
+        motors = np.stack([side + bend, side - bend], axis=1).ravel()
+        loops.moved_to(motors)
+        q = hand.full_configuration(leaders_of(loops, hand))
+        commands = 511 + motors * per_radian
+        np.testing.assert_allclose(bound.commands(bound.angles(q)), commands, atol=5.0)  # 1.5°
+        np.testing.assert_allclose(bound.joints(commands), q, atol=np.radians(0.8))

@@ -79,6 +79,35 @@ def test_joints_that_share_an_actuator_and_a_differential(hand):
     assert np.isnan(back).sum() == (~bound.determined).sum() > 0  # joints without an actuator
 
 
+def test_two_motors_with_cranks_move_two_joints(hand, tmp_path):
+    a, b, c = hand.actuated_names[:3]
+    line = ((-np.pi / 2, 0.0), (np.pi / 2, 1000.0))
+    rows = ((0.02, 1.2, 0.2), (1.5, 0.1), (-0.2,))
+    other = ((-0.01, -1.3, 0.1), (1.6, 0.0), (0.1,))
+    table = table_of(
+        Actuator("left", {a: 1.0, b: 1.0}, line, (0, 1000), crank=rows),
+        Actuator("right", {a: 1.0, b: 1.0}, line, (0, 1000), crank=other),
+        Actuator("plain", {c: 2.0}, line, (0, 1000)),
+    )
+    write_table(table, tmp_path / "cranks.toml")
+    bound = BoundMap(read_table(tmp_path / "cranks.toml"), hand)
+    q = np.zeros(len(hand.joint_names))
+    at = [hand.joint_names.index(name) for name in (a, b, c)]
+    q[at] = 0.2, 0.3, 0.4
+    sine = 0.02 + 1.2 * 0.3 + 0.2 * 0.09 + 0.2 * (1.5 + 0.1 * 0.3) - 0.2 * 0.04
+    assert bound.angles(q)[[0, 2]] == pytest.approx([np.arcsin(sine), 0.8])
+    commands = bound.commands(bound.angles(q))
+    assert bound.joints(commands)[at] == pytest.approx(q[at])
+    rates = np.array([20.0, -10.0, 5.0])
+    ahead = bound.joints(commands + 1e-4 * rates)
+    speeds = (ahead - bound.joints(commands)) / 1e-4
+    assert bound.joint_velocities(commands, rates)[at] == pytest.approx(speeds[at], rel=1e-2)
+    q[at[0]] = 3.0  # out of reach: the crank is at its dead centre
+    assert bound.angles(q)[0] == pytest.approx(np.pi / 2)
+    with pytest.raises(ConfigError, match="a crank needs two joints without weights"):
+        Actuator("left", {a: 1.0}, line, (0, 1000), crank=rows)
+
+
 def test_coupled_joints_and_missing_answers_in_read_back(hand):
     line = ((-2.0, 0.0), (2.0, 1000.0))
     names = hand.actuated_names

@@ -1,8 +1,9 @@
 """Maps between joints of a hand's model and commands of its real actuators, and their files.
 
-Each actuator follows a drive angle [rad], a weighted sum of model joints, by a monotonic
-piecewise-linear curve. The curve and its ends come from a table, measured on the real hand or by
-the maker; the limits of our model are not used.
+Each actuator follows a drive angle [rad] by a monotonic piecewise-linear curve. The drive angle is
+a weighted sum of model joints, or that of a crank whose rod moves two of them. The curve and its
+ends come from a table, measured on the real hand or by the maker; the limits of our model are not
+used.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ Rest: TypeAlias = Literal["hold", "relax"]
 
 _KNOWN: Final = 1e-6
 """Tolerance of the share of a joint that the actuators determine."""
-_NEWTON_STEPS: Final = 8  # from the neutral pose to joint positions; for polynomial couplings
+_EXACT: Final = 1e-9  # remainder of a drive angle at which the steps end [rad]
+_NEWTON_STEPS: Final = 8  # from the neutral pose to joint positions; for polynomials
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,12 @@ class Actuator:
         id: number on the bus; None if it has none.
         limit: limit of current [mA], or of force, in the driver's unit; None for the table's.
         settings: further settings for the driver.
+        crank: coefficients c for a crank with a rod that moves both ``joints``, a and b: the sine
+            of the drive angle is the sum of c[i][j] a^i b^j. Empty without a crank.
 
     Raises:
-        ConfigError: the points are not monotonic, or the ends are not in order.
+        ConfigError: the points are not monotonic, the ends are not in order, or a crank does not
+            have two joints.
     """
 
     name: str
@@ -64,8 +69,14 @@ class Actuator:
     id: int | None = None
     limit: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    crank: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
+        if self.crank and not (list(self.joints.values()) == [1.0, 1.0] and all(self.crank)):
+            raise ConfigError(
+                f"actuator {self.name!r}: a crank needs two joints without weights, "
+                'joints = ["a", "b"], and rows of coefficients'
+            )
         if not self.joints or not all(np.isfinite(list(self.joints.values()))):
             raise ConfigError(f"actuator {self.name!r} needs a joint, with a finite weight")
         if not any(self.joints.values()):
@@ -236,9 +247,12 @@ class BoundMap:
                     )
                 row[names.index(joint)] += weight
         self._curves = [_curve(actuator.points) for actuator in actuators.actuators]
+        self._cranks = _Cranks(actuators.actuators, names)
+        self._weights = self._slopes(np.zeros(len(names)))
         # q = p(C qa + o) of the model's own couplings, and drive angles x = W q: solved for qa,
         # with the least norm where one actuator moves several joints.
         self._hand, self._transmission = hand, hand.transmission
+        self._curved = bool(hand.transmission.curves) or len(self._cranks.rows) > 0
         self._gears, self._offset = hand.transmission.matrix, hand.transmission.offset
         reduced = self._weights @ self._gears
         self._inverse = np.linalg.pinv(reduced)
@@ -256,8 +270,22 @@ class BoundMap:
         """(a,) drive angles [rad] of joint positions [rad]."""
         left_out = len(self._determined) - len(positions)
         wrist = self._hand.neutral[len(self._hand.neutral) - left_out :]
-        result: np.ndarray = self._weights @ np.concatenate([positions, wrist])
-        return result
+        values = self._values(np.concatenate([positions, wrist]))
+        turned = self._cranks.rows
+        values[turned] = np.arcsin(np.clip(values[turned], -1.0, 1.0))
+        return values
+
+    def _values(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " a"]:
+        """(a,) drive angles [rad], and their sines for cranks."""
+        values: np.ndarray = self._weights @ positions
+        values[self._cranks.rows] = self._cranks.sines(positions)
+        return values
+
+    def _slopes(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, "a n"]:
+        """(a, n) derivatives of ``_values``."""
+        slopes = self._weights.copy()
+        slopes[self._cranks.rows[:, None], self._cranks.joints] = self._cranks.slopes(positions)
+        return slopes
 
     def commands(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) commands for drive angles [rad], not limited to the ends."""
@@ -279,8 +307,8 @@ class BoundMap:
 
         NaN for a joint that no actuator moves, or whose actuator's position is NaN.
         """
-        angles = self.drive_angles(commands)
-        if self._transmission.curves:
+        angles = self._wanted(commands)
+        if self._curved:
             q = self._actuated(angles)
             return self._known(self._transmission.positions(q), ~np.isfinite(angles))
         offset = self._offset[: len(self.names)]
@@ -292,22 +320,34 @@ class BoundMap:
     ) -> Float[np.ndarray, " n"]:
         """(n,) joint velocities [rad/s] from measured positions and velocities of actuators."""
         step = 1e-3
-        ahead = self.drive_angles(commands + step * rates)
-        angles = self.drive_angles(commands)
+        ahead = self._wanted(commands + step * rates)
+        angles = self._wanted(commands)
         speeds = (ahead - angles) / step
-        if self._transmission.curves:
-            slopes = self._transmission.slopes(self._actuated(angles))
+        if self._curved:
+            q = self._actuated(angles)
+            slopes = self._transmission.slopes(q)
+            driven = self._slopes(self._transmission.positions(q)) @ slopes
             lost = ~np.isfinite(speeds)
-            found = np.linalg.pinv(self._weights @ slopes) @ np.where(lost, 0.0, speeds)
+            found = np.linalg.pinv(driven) @ np.where(lost, 0.0, speeds)
             return self._known(slopes @ found, lost)
         return self._spread(speeds)
 
-    def _actuated(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " m"]:
-        """Positions of the actuated joints at drive angles [rad], by Newton's steps."""
+    def _wanted(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
+        """``_values`` of measured positions."""
+        values = self.drive_angles(commands)
+        turned = self._cranks.rows
+        values[turned] = np.sin(values[turned])
+        return values
+
+    def _actuated(self, values: Float[np.ndarray, " a"]) -> Float[np.ndarray, " m"]:
+        """Positions of the actuated joints [rad] at ``_values``, by Newton's steps."""
         q = self._hand.neutral
         for _ in range(_NEWTON_STEPS):
-            left = angles - self._weights @ self._transmission.positions(q)
-            jacobian = self._weights @ self._transmission.slopes(q)
+            positions = self._transmission.positions(q)
+            left = values - self._values(positions)
+            if not (np.abs(left) > _EXACT).any():  # NaN for a motor without a position
+                break
+            jacobian = self._slopes(positions) @ self._transmission.slopes(q)
             q = q + np.linalg.pinv(jacobian) @ np.where(np.isfinite(left), left, 0.0)
         return q
 
@@ -325,6 +365,42 @@ class BoundMap:
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)
         joints[unknown] = np.nan
         return joints[: len(self.names)]
+
+
+class _Cranks:
+    """The polynomials of all actuators with a crank.
+
+    Attributes:
+        rows: (k,) places of these actuators among all.
+        joints: (k, 2) places of their joints among those of the model.
+    """
+
+    def __init__(self, actuators: Sequence[Actuator], names: Sequence[str]) -> None:
+        self.rows = np.array([k for k, one in enumerate(actuators) if one.crank], int)
+        cranks = [actuators[row] for row in self.rows]
+        joints = [[names.index(joint) for joint in crank.joints] for crank in cranks]
+        self.joints = np.array(joints, int).reshape(-1, 2)
+        size = max((max(len(c.crank), *map(len, c.crank)) for c in cranks), default=1)
+        self._coefficients = np.zeros((len(cranks), size, size))
+        for rows, crank in zip(self._coefficients, cranks, strict=True):
+            for row, given in zip(rows, crank.crank, strict=False):
+                row[: len(given)] = given
+        self._degrees = np.arange(size)
+
+    def sines(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
+        """Sines of the drive angles."""
+        a, b = positions[self.joints].T[..., None] ** self._degrees
+        return self._sums(a, b)
+
+    def slopes(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k 2"]:
+        """Derivatives of the sines by both joints."""
+        places = positions[self.joints].T[..., None]
+        a, b = places**self._degrees
+        by_a, by_b = self._degrees * places ** np.maximum(self._degrees - 1, 0)
+        return np.stack([self._sums(by_a, b), self._sums(a, by_b)], axis=1)
+
+    def _sums(self, a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, " k"]:
+        return np.asarray(np.einsum("ki,kij,kj->k", a, self._coefficients, b))
 
 
 _Curve: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -479,7 +555,16 @@ def _actuator(each: Entries, unit: str) -> Actuator:
         id=each.whole("id") if "id" in each.values else None,
         limit=each.number("limit") if "limit" in each.values else None,
         settings=dict(each.table("settings", {}).values),
+        crank=_crank(each) if "crank" in each.values else (),
     )
+
+
+def _crank(each: Entries) -> tuple[tuple[float, ...], ...]:
+    rows = each.values["crank"]
+    try:
+        return tuple(tuple(float(number) for number in row) for row in rows)
+    except (TypeError, ValueError):
+        raise each.error("crank", "expected rows of coefficients [[c00, c01], [c10]]") from None
 
 
 def _joints(each: Entries) -> dict[str, float]:
@@ -487,6 +572,8 @@ def _joints(each: Entries) -> dict[str, float]:
         raise each.error("joint", "set either joint, or joints with their weights")
     if "joint" in each.values:
         return {each.text("joint", empty=False): 1.0}
+    if isinstance(each.values["joints"], list):
+        return dict.fromkeys(each.texts("joints"), 1.0)
     table = each.table("joints")
     return {name: table.number(name) for name in table.names}
 
@@ -551,6 +638,8 @@ def _lines(table: ActuatorMap, comment: str) -> Iterator[str]:
             yield f"joint = {toml_value(next(iter(actuator.joints)))}"
         else:
             yield f"joints = {toml_value(actuator.joints)}"
+        if actuator.crank:
+            yield f"crank = {toml_value(actuator.crank)}"
         yield f"points = {toml_value(actuator.points)} # [rad, {table.unit}]"
         yield f"ends = {toml_value(actuator.ends)}"
         if actuator.limit is not None:

@@ -89,7 +89,7 @@ class TableCheck:
         if not low < high:
             self._say(f"the ends {low:g} and {high:g} are not a range: unchanged")
             return "skip"
-        points = self._angles(actuator, low, high, unit)
+        points = actuator.points if actuator.crank else self._angles(actuator, low, high, unit)
         return replace(actuator, joints=joints, points=points, ends=(low, high))
 
     def _joints(self, index: int, actuator: Actuator, start: float) -> dict[str, float] | str:
@@ -108,7 +108,7 @@ class TableCheck:
                 return dict(actuator.joints)
             if answer in ("s", "q"):
                 return "skip" if answer == "s" else "quit"
-            if answer in self._hand.joint_names:
+            if answer in self._hand.joint_names and not actuator.crank:
                 return {answer: 1.0}
             if answer != "a":
                 self._say(f"joints of {self._hand.name}: {', '.join(self._hand.joint_names)}")
