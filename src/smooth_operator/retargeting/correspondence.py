@@ -6,8 +6,7 @@ up to twice as long. When thumb and finger approach each other, their targets mo
 the vector between them equals the human's. The lengths of the human's fingers are measured in each
 frame, because trackers stretch bones.
 
-A gripper is open when the human's thumb and index finger are the length of the index finger apart,
-and closed when they touch.
+``gripper`` has the targets of a gripper's jaws.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.retargeting.gripper import Jaws
 from smooth_operator.settings import check_numbers
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
@@ -32,8 +32,6 @@ _POSES: Final = 256  # random ones, for the thumb's length
 # distance of full pressing [m]; none at twice this distance
 _PRESSED: Final = 0.012
 _TINY: Final = 1e-9
-_JAW_POSES: Final = 4096  # poses among which a gripper's closed and open ones are
-_JAW_STEPS: Final = 65  # poses between them
 
 
 @dataclass(frozen=True)
@@ -102,11 +100,6 @@ class Correspondence:
     config: CorrespondenceConfig
 
     @cached_property
-    def landmarks(self) -> tuple[int, ...]:
-        """Indices of the human landmarks that determine the operator's finger lengths."""
-        return tuple(int(i) for i in self._chains.ravel())
-
-    @cached_property
     def _chains(self) -> np.ndarray:
         """(F, 4) landmarks of each finger, base to tip."""
         bases = [BASES[FINGERS.index(name)] for name in self.hand.fingers]
@@ -130,6 +123,10 @@ class Correspondence:
         joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
         lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
         return points[rows].astype(np.float32), lengths
+
+    @cached_property
+    def _jaws(self) -> Jaws:
+        return Jaws(self.hand)
 
     def init(self) -> CorrespondenceState:
         """State before the first frame, with the robot's own finger lengths."""
@@ -169,7 +166,7 @@ class Correspondence:
         )
         size = jnp.sqrt((measured * measured).sum(-1))
         if self.hand.spec.gripper:
-            places, gain = self._jaw_places(operator, tips)
+            places, gain = self._jaws.places(operator.lengths[1], tips, self.config.press)
             size = jnp.full_like(size, size.sum())  # either fingertip opens both jaws
         else:
             places, gain, nearness = self._places(operator, tips)
@@ -182,43 +179,6 @@ class Correspondence:
             nearest = jnp.concatenate([nearness.max()[None], nearness])
             moves = (gain + nearest * (1 - gain))[:, None] * steps
         return operator._replace(places=places), _shortened(moves, most)
-
-    @cached_property
-    def _jaws(self) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "K 2 3"]]:
-        """Openings of a gripper from closed to open, and the places of its tips [m]."""
-        low, high = self.hand.limits.T
-        count = max(2, int(_JAW_POSES ** (1 / len(low))))
-        axes = np.linspace(low, high, count).T
-        poses = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(low))
-
-        def tips_at(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            tips = self.hand.tips(self.hand.full_configuration(q))
-            return np.linalg.norm(tips[:, 1] - tips[:, 0], axis=-1), tips
-
-        openings, _ = tips_at(poses)
-        closed, opened = poses[int(np.argmin(openings))], poses[int(np.argmax(openings))]
-        openings, tips = tips_at(
-            closed + np.linspace(0, 1, _JAW_STEPS)[:, None] * (opened - closed)
-        )
-        return np.maximum.accumulate(openings).astype(np.float32), tips.astype(np.float32)
-
-    def _jaw_places(
-        self, operator: CorrespondenceState, tips: Float[Array, "2 3"]
-    ) -> tuple[Float[Array, "2 3"], Float[Array, " 2"]]:
-        """Targets of a gripper's tips, and gains of its opening: with the human's distance d of
-        thumb and index finger and the length l of the index finger, the opening is
-        w_min + (w_max - w_min) (d - press) / (l - press), within w_min and w_max."""
-        openings, path = (jnp.asarray(part, tips.dtype) for part in self._jaws)
-        human = tips[1] - tips[0]
-        apart = jnp.sqrt((human * human).sum() + _TINY)
-        room = jnp.maximum(operator.lengths[1] - self.config.press, self.config.press)
-        share = jnp.clip((apart - self.config.press) / room, 0.0, 1.0)
-        opening = openings[0] + share * (openings[-1] - openings[0])
-        after = jnp.clip(jnp.searchsorted(openings, opening), 1, len(openings) - 1)
-        step = jnp.maximum(openings[after] - openings[after - 1], _TINY)
-        part = jnp.clip((opening - openings[after - 1]) / step, 0.0, 1.0)
-        places = path[after - 1] + part * (path[after] - path[after - 1])
-        return places, jnp.full(2, (openings[-1] - openings[0]) / room)
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]

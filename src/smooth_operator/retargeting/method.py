@@ -64,11 +64,6 @@ class Method(ABC):
     def needs(self) -> tuple[int, ...]:
         """Indices of the human landmarks without which no command can be computed."""
 
-    @property
-    def optional_landmarks(self) -> tuple[int, ...]:
-        """Indices of further human landmarks that are used if they are known."""
-        return ()
-
     @abstractmethod
     def init(self, seed: int) -> Any:
         """The state before the first frame: a pytree of arrays without None leaves.

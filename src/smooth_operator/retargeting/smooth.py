@@ -85,7 +85,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         objective: targets, pose weight, and terms of your own.
         motion_weight: weight of the term that makes fingertips copy the human's motion, at 100 Hz.
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it falls with the
-            square of the speed. 0 keeps it constant.
+            square of the speed.
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
             is latched to it, because moving fingers roll a held object out of the pinch. It falls
             with speed like the motion weight.
@@ -116,7 +116,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     iterations: int = 50
 
     def __post_init__(self) -> None:
-        check_numbers(self, positive=("iterations",))
+        check_numbers(self, positive=("motion_speed", "iterations"))
 
     def build(self, hand: Hand) -> Smooth:
         """The method for one hand."""
@@ -196,12 +196,6 @@ class Smooth(Method):
         """Wrist and fingertips."""
         return self.layout.landmarks
 
-    @property
-    def optional_landmarks(self) -> tuple[int, ...]:
-        """All landmarks of the fingers, which determine their lengths."""
-        corresponds = not is_off(self.config.correspondence.share)
-        return self.correspondence.landmarks if corresponds else ()
-
     def init(self, seed: int) -> SmoothState:
         """State with the neutral pose; the method uses no random numbers."""
         del seed
@@ -213,10 +207,7 @@ class Smooth(Method):
             PinchGapState.of(self.hand.fingers, {}),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
-            put(np.uint32(0)),
-            put(np.uint32(0)),
-            put(np.float32(0)),
-            put(np.float32(1)),
+            *put((np.uint32(0), np.uint32(0), np.float32(0), np.float32(1))),
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
@@ -283,10 +274,8 @@ class Smooth(Method):
 
         # weights; the coupling between two frames decreases with the time between them
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
-        slow = jnp.ones(len(moves), aligned.dtype)
-        if not is_off(config.motion_speed):
-            speed = jnp.sqrt((speeds * speeds).sum(-1) + 1e-18) / clock.dt
-            slow = 1 / (1 + (speed / config.motion_speed) ** 2)
+        speed = jnp.sqrt((speeds * speeds).sum(-1) + 1e-18) / clock.dt
+        slow = 1 / (1 + (speed / config.motion_speed) ** 2)
         policy, human = config.objective.targets, self.layout.of_tips(places, origin)
         targets, latches = policy(state.targets, self.layout, human)
         latched = policy.latched(latches)

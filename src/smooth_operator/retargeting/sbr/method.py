@@ -133,11 +133,6 @@ class Sbr(Method):
         """The correspondence of human and robot fingers."""
         return Correspondence(self.hand, self.config.correspondence)
 
-    @property
-    def optional_landmarks(self) -> tuple[int, ...]:
-        """All landmarks of the fingers with a correspondence, which needs their lengths."""
-        return () if is_off(self.config.correspondence.share) else self.correspondence.landmarks
-
     def init(self, seed: int) -> SbrState:
         """State with the neutral pose and the initial state of the target policy."""
         operator: OperatorState | tuple[()] = ()
