@@ -5,8 +5,8 @@ from pathlib import Path
 
 from smooth_operator.hand_discovery.checks import Samples
 from smooth_operator.hand_discovery.hand_validation import TOUCH_GAP, closest_pinch
+from smooth_operator.hand_discovery.joints import palm_tilt_deg
 from smooth_operator.hands.registry import known_hands, load_hand
-from smooth_operator.retargeting.palm import palm_tilt_deg
 
 PAGE = Path(__file__).parent / "reference" / "hands.md"
 _HEADER = """\

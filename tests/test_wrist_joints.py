@@ -35,7 +35,7 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandRecording
-from smooth_operator.wrist_following import WristFollower, palm_motion
+from smooth_operator.wrist_following import PalmMotion, WristFollower
 
 PERIOD = 0.01
 AXES = ("1 0 0", "0 1 0", "0 0 1")
@@ -53,7 +53,7 @@ def human_turn(hand: Hand, q: np.ndarray) -> np.ndarray:
     joints bend the robot's."""
     distal, _, palmar = hand_directions(hand)
     axes = np.stack([distal, np.cross(-palmar, distal), -palmar])
-    turned = poses.rotation_matrices(palm_motion(hand, q)[3:])
+    turned = poses.rotation_matrices(PalmMotion(hand).at(q)[3:])
     return poses.quaternions(axes @ turned @ axes.T)
 
 

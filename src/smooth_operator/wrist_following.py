@@ -9,8 +9,9 @@ reference, the moment at which the operator takes over, and to stay there.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeAlias
 
 import mujoco
 import numpy as np
@@ -23,7 +24,11 @@ from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.simulation.arms.arm import hand_directions
 from smooth_operator.types import CommandTrajectory, HandRecording
 
-_DISTAL: Final = np.array([1.0, 0.0, 0.0])  # in the wrist frame of docs/reference/conventions.md
+_Vector: TypeAlias = tuple[float, float, float]
+"""In the live loop, plain numbers are several times as fast as arrays of three."""
+
+_FOREARM: Final = (1.0, 0.0, 0.0)
+"""Forearm of a straight wrist, in the wrist frame of docs/reference/conventions.md."""
 MOST_ALONG: Final = 0.9
 """Largest cosine between the forearm and the axis of a wrist joint; a joint above it pronates."""
 
@@ -52,7 +57,9 @@ class WristSolver:
         distal, _, palmar = hand_directions(hand)
         wrist = np.stack([distal, np.cross(-palmar, distal), -palmar])
         to_wrist = wrist @ data.body(hand.spec.palm).xmat.reshape(3, 3).T
-        self._axes = [to_wrist @ data.joint(name).xaxis for name in names]
+        self._axes: list[_Vector] = [
+            tuple((to_wrist @ data.joint(name).xaxis).tolist()) for name in names
+        ]
         for name, axis in zip(names, self._axes, strict=True):
             if abs(axis[0]) > MOST_ALONG:
                 raise HandModelError(
@@ -61,7 +68,7 @@ class WristSolver:
                     "out of wrist_joints"
                 )
 
-    def angles(self, forearm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n k"]:
+    def angles(self, forearm: Float[np.ndarray, "3"]) -> Float[np.ndarray, " k"]:
         """Angles of the wrist joints from their neutral positions [rad].
 
         With one joint the direction is met as closely as that joint allows; with two exactly,
@@ -69,29 +76,40 @@ class WristSolver:
         Introduction to Robotic Manipulation, section 3.3).
 
         Args:
-            forearm: (..., 3) unit vectors from elbow to wrist in the human's wrist frame; at 1 0 0
-                the angles are zero.
+            forearm: unit vector from elbow to wrist in the human's wrist frame; at 1 0 0 the
+                angles are zero.
         """
+        seen: _Vector = tuple(forearm.tolist())
         if len(self._axes) == 1:
-            return _turn(self._axes[0], forearm, _DISTAL)[..., None]
+            return np.array([_turn(self._axes[0], seen, _FOREARM)])
         first, second = self._axes
-        between = np.cross(first, second)
-        s, size = first @ second, between @ between
-        along, across = np.full(forearm.shape[:-1], first[0]), forearm @ second
+        between = _cross(first, second)
+        s, size = _dot(first, second), _dot(between, between)
+        along, across = first[0], _dot(seen, second)
         a, b = (along - s * across) / size, (across - s * along) / size
         left = (1.0 - a * a - b * b - 2.0 * a * b * s) / size
-        c = np.copysign(np.sqrt(np.maximum(left, 0.0)), between[0])
-        met = a[..., None] * first + b[..., None] * second + c[..., None] * between
-        return np.stack([_turn(first, met, _DISTAL), _turn(second, forearm, met)], axis=-1)
+        c = math.copysign(math.sqrt(max(left, 0.0)), between[0])
+        x, y, z = (a * u + b * v + c * w for u, v, w in zip(first, second, between, strict=True))
+        met = (x, y, z)
+        return np.array([_turn(first, met, _FOREARM), _turn(second, seen, met)])
 
 
-def _turn(
-    axis: Float[np.ndarray, "3"], a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n"]:
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+def _turn(axis: _Vector, a: _Vector, b: _Vector) -> float:
     """Angle about a unit axis that turns a closest to b [rad]."""
-    sine = np.cross(a, b) @ axis
-    cosine = (a * b).sum(axis=-1) - (a @ axis) * (b @ axis)
-    return np.asarray(np.arctan2(sine, cosine))
+    sine = _dot(_cross(a, b), axis)
+    return math.atan2(sine, _dot(a, b) - _dot(a, axis) * _dot(b, axis))
 
 
 class WristFollower:
@@ -129,29 +147,34 @@ class WristFollower:
         if wrist is None or not poses.is_valid(wrist):
             return
         if self._forearm is None or world != self._world:
-            self._forearm, self._start = poses.rotate(wrist[3:], _DISTAL), self.target
+            self._forearm, self._start = poses.rotate(wrist[3:], np.array(_FOREARM)), self.target
             self._world = world
         seen = poses.rotate(poses.conjugate(wrist[3:]), self._forearm)
         wanted = self._start + self.solver.angles(seen)
         self.target = np.clip(wanted, *self.solver.limits.T)
 
 
-def palm_motion(hand: Hand, positions: Float[np.ndarray, "*n k"]) -> Float[np.ndarray, "*n 7"]:
-    """Poses of the palm relative to its pose with the wrist joints at rest.
+class PalmMotion:
+    """Poses of a hand's palm as its wrist joints move, relative to the palm at rest.
 
     Args:
-        positions: (..., k) positions of the wrist joints [rad].
+        hand: the robot hand.
     """
-    joints = [hand.model.joint(name) for name in hand.spec.wrist_joints]
-    data = mujoco.MjData(hand.model)
-    palm, found = data.body(hand.spec.palm), []
-    for row in [[joint.qpos0[0] for joint in joints], *np.reshape(positions, (-1, len(joints)))]:
-        for joint, position in zip(joints, row, strict=True):
-            data.qpos[joint.qposadr] = position
-        mujoco.mj_kinematics(hand.model, data)
-        found.append(np.concatenate([palm.xpos, palm.xquat]))
-    moved = poses.relative(found[0], np.array(found[1:]))
-    return moved.reshape(*np.shape(positions)[:-1], 7)
+
+    def __init__(self, hand: Hand) -> None:
+        self._model, self._data = hand.model, mujoco.MjData(hand.model)
+        self._joints = [int(hand.model.joint(name).qposadr[0]) for name in hand.spec.wrist_joints]
+        self._palm = self._data.body(hand.spec.palm)
+        self._rest = self._pose()
+
+    def at(self, positions: Float[np.ndarray, " k"]) -> Float[np.ndarray, "7"]:
+        """(7,) pose of the palm at (k,) positions of the wrist joints [rad]: x y z [m], wxyz."""
+        self._data.qpos[self._joints] = positions
+        return poses.relative(self._rest, self._pose())
+
+    def _pose(self) -> Float[np.ndarray, "7"]:
+        mujoco.mj_kinematics(self._model, self._data)
+        return np.concatenate([self._palm.xpos, self._palm.xquat])
 
 
 def add_wrist_commands(

@@ -133,13 +133,15 @@ class _Run:
 
 
 def _run(options: View, out: Path, source: Path) -> _Run:
+    import numpy as np
+
     from smooth_operator.formats.commands import config_path, read_commands
     from smooth_operator.formats.readers import read_recording
     from smooth_operator.hands.registry import load_hand
     from smooth_operator.hands.wrist_joints import has_joints
     from smooth_operator.metrics.assemble import assemble_trace
     from smooth_operator.planning import read_configuration
-    from smooth_operator.wrist_following import palm_motion
+    from smooth_operator.wrist_following import PalmMotion
 
     commands = _chosen(read_commands(out), options.frames)
     config = read_configuration(config_path(out)) or {}
@@ -162,7 +164,7 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     trace = assemble_trace(recording, commands, hand, _alignment(config))
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)
     wrist = commands.joint_positions[:, len(hand.joint_names) :]
-    palms = palm_motion(hand, wrist) if wrist.shape[1] else None
+    palms = np.stack([*map(PalmMotion(hand).at, wrist)]) if wrist.shape[1] else None
     return _Run(out, hand, trace, made_by, palms)
 
 

@@ -55,7 +55,7 @@ from smooth_operator.teleop.pages.scene import (
 )
 from smooth_operator.teleop.sources.webcam.camera import opencv
 from smooth_operator.types import Side
-from smooth_operator.wrist_following import palm_motion
+from smooth_operator.wrist_following import PalmMotion
 
 _SCALE: Final = 0.32  # scale of the room; the hands beside it have their own size
 _AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # direction from the arms to the viewer
@@ -472,7 +472,7 @@ class _SideView:
         self._points = self._hull()
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid, self._with_human = False, True
-        self._palm = _HERE  # relative to the palm at rest
+        self._motion, self._palm = PalmMotion(hand), _HERE  # of the palm, from its rest
         self.face(None, None)
         neutral = hand.full_configuration(hand.neutral)
         self.draw({"positions": neutral, "human": None, "latched": None, "targets": None})
@@ -500,7 +500,7 @@ class _SideView:
         every, other = self._poses(state)
         count = len(self._hand.joint_names)
         if len(every) > count:
-            self._palm = palm_motion(self._hand, every[count:])
+            self._palm = self._motion.at(every[count:])
             self._place()
             every, other = every[:count], None if other is None else other[:count]
         self.robot.draw(every, other)
