@@ -174,6 +174,23 @@ def test_linker_frames(monkeypatch, closing):
         right.open()
 
 
+@pytest.mark.parametrize("model", ["O6", "L10"])
+def test_linker_touch_matrices(model, closing):
+    device, hand, _ = linker(closing, model, touch=1)
+    for k, matrix in enumerate(hand.touch.values()):
+        matrix[:] = np.arange(matrix.size).reshape(matrix.shape) + k
+    assert device.read().pads == {}
+    reading = until(lambda: (r := device.read()).pads and r)
+    assert list(reading.pads) == ["thumb", "index", "middle", "ring", "little"]
+    for found, matrix in zip(reading.pads.values(), hand.touch.values(), strict=True):
+        np.testing.assert_array_equal(found, matrix)
+    assert reading.touch.tolist() == [matrix.sum() for matrix in hand.touch.values()]
+    plain, _, spy = linker(closing, model)
+    assert plain.read().touch is None
+    while (frame := spy.recv(timeout=0.05)) is not None:
+        assert frame.data[0] < 0xB1  # it is not asked
+
+
 @pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
 @pytest.mark.parametrize("model", ["O6", "L10", "L20", "L21"])
 def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier, closing):

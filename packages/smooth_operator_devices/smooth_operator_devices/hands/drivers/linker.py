@@ -23,9 +23,9 @@ from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.device import HandDevice, Reading, Setting, WrongAnswerError
 from smooth_operator_devices.hands.drivers.can_bus import CanBus, can_port
 from smooth_operator_devices.hands.drivers.linker_models import MODELS, Frames
+from smooth_operator_devices.hands.drivers.linker_touch import FINGERS, TouchMatrices
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
-_FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 _IDENTIFIERS: Final = {"right": 0x27, "left": 0x28}
 """Identifier of the frames by the hand's side, as the maker's code chooses it: its C++ header
 (enumeration of sides), its Python SDK (constructor) and its package ``linkerbot``. One name of a
@@ -78,10 +78,12 @@ class LinkerDevice(HandDevice):
 
     The hand has no command that switches its motors off, so ``relax`` does nothing.
     ``Reading.currents`` of O6 and L6 are 0 to 255, as the limit; the others report none.
+    ``Reading.touch`` is the sum of each touch matrix, in the order of ``Reading.pads``.
 
     Args:
         table: table of the hand. ``limit`` is the hand's torque, or current (L20), 0 to 255.
-            Its settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
+            Its settings may have ``speed`` (0 to 255), ``gap_ms``, the time between two frames, and
+            ``touch``, 1 for a hand with touch matrices.
     """
 
     driver, name, motors = "linker", "a LinkerHand", 0
@@ -99,6 +101,8 @@ class LinkerDevice(HandDevice):
         self._settings = _filled(self._model.speeds, [speed] * self._model.motors)
         if np.isfinite(table.limits).any():
             self._settings |= _filled(self._model.limits, limits.astype(int).tolist())
+        self._touch = TouchMatrices(*self._model.touch)
+        self._has_touch = self._setting("touch", 0, 0, 1) == 1
         self._bus: CanBus | None = None
         self._answers: dict[int, bytes] = {}
         self._turn = 0
@@ -156,6 +160,8 @@ class LinkerDevice(HandDevice):
         slow = [*model.temperatures, *model.faults, *model.currents]
         self._send(slow[self._turn % len(slow)], [])
         self._turn += 1
+        if self._has_touch:
+            self._send(*self._touch.question())
         deadline = time.perf_counter() + _TIMEOUT
         while missing := [k for k in model.positions if k not in self._answers]:
             self._collect(bus, deadline, missing)
@@ -172,11 +178,14 @@ class LinkerDevice(HandDevice):
                     f"linker: frame 0x{kind:02X} of the hand has {len(answers[kind])} values, not "
                     f"{len(row)}"
                 )
+        pads = self._touch.pads
         return Reading(
             positions=cast(np.ndarray, _values(model.positions, answers)),
             currents=_values(model.currents, self._answers),
             temperatures=_values(model.temperatures, self._answers),
             errors=self._errors(),
+            touch=np.array([cells.sum() for cells in pads.values()]) if pads else None,
+            pads=pads,
         )
 
     def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
@@ -184,13 +193,14 @@ class LinkerDevice(HandDevice):
         for identifier, data in bus.until(deadline):
             if identifier == self._identifier and len(data) > 1:  # no question
                 self._answers[data[0]] = data[1:]
+                self._touch.take(data)
             if fields is not None and all(kind in self._answers for kind in fields):
                 return
 
     def _errors(self) -> tuple[str, ...]:
         model = self._model
         whole = sum(map(len, model.faults.values())) >= model.motors
-        names = self._table.names if whole else _FINGERS
+        names = self._table.names if whole else FINGERS
         texts = []
         for kind, row in model.faults.items():
             for motor, code in zip(row, self._answers.get(kind, b""), strict=False):

@@ -7,7 +7,7 @@ linker-bot/linkerhand-python-sdk, commit b371361, ``LinkerHand/core/can`` (all o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 
 Frames: TypeAlias = Mapping[int, Sequence[int | None]]
@@ -34,6 +34,7 @@ class Model:
         positions, speeds, limits, temperatures, faults, currents: frames of these values.
         bits: names of the bits of a fault, from the lowest; empty if they are not known.
         clear: the frame that clears faults; empty if there is none.
+        touch: code of the touch matrix of a fingertip, and its rows and columns.
     """
 
     positions: Frames
@@ -44,6 +45,7 @@ class Model:
     currents: Frames = field(default_factory=dict)
     bits: tuple[str, ...] = field(default=(), kw_only=True)
     clear: bytes = field(default=b"", kw_only=True)
+    touch: tuple[int, tuple[int, int]] = field(default=(0xC6, (12, 6)), kw_only=True)
 
     @property
     def motors(self) -> int:
@@ -89,7 +91,7 @@ def _by_finger(thumb: str, finger: str) -> Model:
 
 _FIVE: Final = range(5)
 MODELS: Final[Mapping[str, Model]] = {
-    "o6": _single(6, 0x36, bits=_SERVO_FAULTS),
+    "o6": replace(_single(6, 0x36, bits=_SERVO_FAULTS), touch=(0xA4, (10, 4))),
     "l6": _single(6, 0x36, bits=_PHASE_FAULTS, clear=bytes([0x83, *[1] * 6])),
     "l7": _single(7),
     "l10": _ten(),
