@@ -25,6 +25,7 @@ from smooth_operator.hand_discovery.hand_validation import (
     closest_pinch,
     reachable_poses,
     round_trip,
+    without_pull,
 )
 from smooth_operator.hand_discovery.joint_map import check_joint_map
 from smooth_operator.hand_files.spec_writer import write_hand_spec
@@ -425,19 +426,13 @@ def test_a_round_trip_tells_a_hand_that_never_moves():
 @pytest.mark.parametrize("method", ["smooth", "sbr", "keyvector", "hybrid", "dexpilot"])
 def test_without_pull_changes_the_pull_only(method):
     config: Any = method_config(method)
-    free = config.without_pull()
+    free: Any = without_pull(config)
     assert free.objective.pose_weight == min(config.objective.pose_weight, 1e-4)
     back = replace(
         free, objective=replace(free.objective, pose_weight=config.objective.pose_weight)
     )
     assert back == config
-    assert method_config("joint_angle").without_pull() == method_config("joint_angle")
-
-
-def test_without_pull_reaches_the_causal_method_of_a_trajectory():
-    config: Any = method_config("smooth", "offline")
-    assert config.without_pull() == replace(config, causal=config.causal.without_pull())
-    assert config.without_pull() != config
+    assert without_pull(method_config("joint_angle")) == method_config("joint_angle")
 
 
 def test_the_default_method_is_judged_without_its_pull(monkeypatch):
@@ -455,7 +450,7 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch):
     config: Any = method_config(DEFAULT_METHOD)
     assert config.objective.pose_weight > 0.01
     assert given[0].objective.pose_weight == pytest.approx(1e-4)
-    assert given == [config.without_pull()]
+    assert given == [without_pull(config)]
 
 
 def test_the_command_prints_one_object(capfd):

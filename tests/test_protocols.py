@@ -100,7 +100,6 @@ def test_a_method_of_ones_own_needs_only_what_is_abstract():
         wanted = retargeter.hand.full_configuration(low + (high - low) * share)
         np.testing.assert_allclose(result.command.joint_positions, wanted, atol=1e-5)
     assert retargeter.notes == ()
-    assert MIRROR.without_pull() == MIRROR
 
 
 def test_every_built_in_method_has_a_colour_of_its_own():

@@ -6,10 +6,10 @@ the landmarks of a pose of the hand; the result should be the same pose."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -40,6 +40,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.metrics.consistency import frozen_share
+from smooth_operator.retargeting.method import MethodConfig, ObjectiveMethodConfig
 from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
@@ -284,7 +285,7 @@ def round_trip(
 
     The method runs with its configuration. Many methods balance a pull to the neutral pose against
     the landmarks, and end millimetres away from a pose that they could reach. To judge a hand
-    or a solver, remove that pull with ``MethodConfig.without_pull``.
+    or a solver, remove that pull with ``without_pull``.
 
     Args:
         retargeter: the method on its hand; its own state does not change.
@@ -339,6 +340,21 @@ _FOLLOWS_TIPS: Final = (MEASURE, "keyvector", "hybrid")
 """Methods whose result for a reachable pose is that pose; the others have another goal."""
 
 
+_FAINT: Final = 1e-4
+"""Weight of a pull to the neutral pose that only decides between equally good poses."""
+
+
+def without_pull(config: MethodConfig) -> MethodConfig:
+    """Settings of a method with almost no pull to the neutral pose, to judge a hand or a solver."""
+    if not isinstance(config, ObjectiveMethodConfig):
+        return config
+    weight = min(config.objective.pose_weight, _FAINT)
+    changed: Any = config  # a dataclass, which its base class can't express
+    return cast(
+        MethodConfig, replace(changed, objective=replace(config.objective, pose_weight=weight))
+    )
+
+
 def check_method(
     hand: Hand,
     method: str,
@@ -352,7 +368,7 @@ def check_method(
     try:
         # A published limit of iterations says nothing about the hand.
         preset = "fast" if "fast" in PRESETS[method] else None
-        retargeter = Retargeter(hand, config=method_config(method, preset).without_pull())
+        retargeter = Retargeter(hand, config=without_pull(method_config(method, preset)))
     except SmoothOperatorError as error:
         return Check(name, "skipped", f"not supported: {error}")
     trip = round_trip(retargeter, poses=poses, seed=seed, track=track)

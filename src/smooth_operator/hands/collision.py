@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from smooth_operator.hands.flat_meshes import mesh_rods
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 
@@ -21,6 +20,7 @@ _APART: Final = 0.006  # distance of a thin plate's rods, between which no finge
 _SLENDER: Final = 0.02  # largest radius of a cylinder that is one capsule [m]
 _RIM: Final = 0.35  # radius of a wide cylinder's outer capsules, over the cylinder's
 _RING: Final = 10  # number of them
+_TINY: Final = 1e-9  # [m]
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
@@ -113,7 +113,7 @@ def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
         if kind == kinds.mjGEOM_BOX:
             rods = [(s * np.eye(3)[wide], float(half[axis]) - thick, thick) for s in shifts]
         elif kind == kinds.mjGEOM_MESH and half[wide] > _FLAT * thick:
-            rods = mesh_rods(model, geom, (thin, wide, axis), middle[wide] + shifts, thick)
+            rods = _mesh_rods(model, geom, (thin, wide, axis), middle[wide] + shifts, thick)
         else:  # rounder than a box: one capsule of a mean width
             radius = float(np.sqrt(thick * half[wide]))
             rods = [(middle, max(float(half[axis]) - radius, 0.0), radius)]
@@ -140,3 +140,59 @@ def strip_shifts(thick: float, wide: float) -> Float[np.ndarray, " n"]:
     if spread <= 0.1 * thick:
         return np.zeros(1)
     return np.linspace(-spread, spread, 1 + int(np.ceil(2 * spread / max(thick, _APART))))
+
+
+def _mesh_rods(
+    model: mujoco.MjModel,
+    geom: int,
+    axes: tuple[int, int, int],
+    rows: Float[np.ndarray, " n"],
+    thick: float,
+) -> list[tuple[np.ndarray, float, float]]:
+    """Parallel rods across a flat mesh, each as thick and long as the mesh is in its strip.
+
+    Args:
+        axes: thin, wide and long axis of the mesh.
+        rows: middle of each strip along the wide axis, in the mesh's frame [m].
+        thick: half the width of a strip [m].
+
+    Returns:
+        middle, half a length without caps, and radius of each rod [m].
+    """
+    thin, wide, long = axes
+    edges = _mesh_edges(model, geom)
+    rods = []
+    for at in rows:
+        points = _within(edges, wide, at - thick, at + thick)
+        if not len(points):
+            continue
+        low, high = points.min(axis=0), points.max(axis=0)
+        place, radius = (low + high) / 2, float(high[thin] - low[thin]) / 2
+        place[wide] = at
+        if radius > 0:
+            rods.append((place, max(float(high[long] - low[long]) / 2 - radius, 0.0), radius))
+    return rods
+
+
+def _within(
+    edges: Float[np.ndarray, "e 2 3"], axis: int, low: float, high: float
+) -> Float[np.ndarray, "n 3"]:
+    """Ends of the parts of edges that lie between two planes."""
+    first, last = edges[:, 0], edges[:, 1]
+    run = last[:, axis] - first[:, axis]
+    steep = np.where(np.abs(run) < _TINY, np.inf, run)
+    shares = (np.array([[low], [high]]) - first[:, axis]) / steep
+    start, end = np.clip(shares.min(axis=0), 0, 1), np.clip(shares.max(axis=0), 0, 1)
+    flat = np.isinf(steep)
+    start, end = np.where(flat, 0.0, start), np.where(flat, 1.0, end)
+    inside = np.where(flat, (first[:, axis] >= low) & (first[:, axis] <= high), end > start)
+    start, end = start[inside, None], end[inside, None]
+    first, last = first[inside], last[inside]
+    return np.concatenate([first + start * (last - first), first + end * (last - first)])
+
+
+def _mesh_edges(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "e 2 3"]:
+    mesh = int(model.geom_dataid[geom])
+    faces = model.mesh_face[int(model.mesh_faceadr[mesh]) :][: int(model.mesh_facenum[mesh])]
+    vertices = model.mesh_vert[int(model.mesh_vertadr[mesh]) :]
+    return np.asarray(vertices[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)], float)

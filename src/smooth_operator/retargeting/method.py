@@ -25,9 +25,6 @@ C = TypeVar("C", bound="MethodConfig")
 Compiling = Callable[[Callable[..., Any], str], Callable[..., Any]]
 """Compiles a traceable function under a name that is unique among the method's functions."""
 
-_FAINT = 1e-4
-"""Weight of a pull to the neutral pose that only decides between equally good poses."""
-
 
 class MethodOutput(NamedTuple):
     """Result of one step of a method.
@@ -153,16 +150,14 @@ class MethodConfig(ABC):
     def with_alignment(self: C, **changes: Any) -> C:
         """Returns these settings with some fields of ``AlignmentConfig`` replaced; ConfigError if a
         value is out of range."""
-        return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
+        changed: Any = self  # a dataclass, which the base class can't express
+        alignment = dataclasses.replace(self.alignment, **changes)
+        return cast(C, dataclasses.replace(changed, alignment=alignment))
 
     def with_file(self: C, path: Path) -> C | None:
         """Returns these settings with a file such as a trained model; None if they use no file."""
         del path
         return None
-
-    def without_pull(self: C) -> C:
-        """These settings with almost no pull to the neutral pose, to test a hand or a solver."""
-        return self
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Human-readable notes on what the method lacks for a hand; empty for most hands."""
@@ -175,14 +170,3 @@ class ObjectiveMethodConfig(MethodConfig):
 
     objective: TermsConfig
     """Targets and weights of Eq. (1)."""
-
-    def without_pull(self: C) -> C:
-        """These settings with a pose weight of at most 1e-4."""
-        objective = cast(ObjectiveMethodConfig, self).objective
-        weight = min(objective.pose_weight, _FAINT)
-        return _replaced(self, objective=dataclasses.replace(objective, pose_weight=weight))
-
-
-def _replaced(config: C, **changes: Any) -> C:
-    # settings are dataclasses, but their base class can't express this
-    return cast(C, dataclasses.replace(cast(Any, config), **changes))

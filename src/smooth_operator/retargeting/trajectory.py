@@ -90,10 +90,6 @@ class TrajectoryMethodConfig(MethodConfig):
         """These settings with another alignment of the frame-by-frame method."""
         return dataclasses.replace(self, causal=self.causal.with_alignment(**changes))
 
-    def without_pull(self) -> TrajectoryMethodConfig:
-        """These settings with almost no pull to the neutral pose."""
-        return dataclasses.replace(self, causal=self.causal.without_pull())
-
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Notes on what the frame-by-frame method lacks on a hand."""
         return self.causal.notes(hand)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple, NoReturn
 
 import jax.numpy as jnp
 import numpy as np
@@ -246,41 +246,35 @@ class GeortModel:
     def mirrored_for(self, hand: Hand) -> bool:
         """True if a hand is the mirror image of the hand in training, False if it is that hand;
         ConfigError if it is another one."""
-        train = f"; train one for it: {training_command(hand)}"
-        about = f"the GeoRT model was trained for the {self.side} hand {self.hand!r}"
-        if hand.fingers != self.fingers:
-            raise ConfigError(
-                f"{about} with the fingers {self.fingers}, but {hand.name!r} has {hand.fingers}"
-                f"{train}"
-            )
         own = finger_joints(hand)
-        names = tuple(tuple(hand.actuated_names[j] for j in joints) for joints in own)
-        for finger, expected, driven in zip(self.fingers, self.joints, names, strict=True):
-            if expected != driven:
-                raise ConfigError(
-                    f"{about}, whose {finger} has the joints {expected}, but that of {hand.name!r} "
-                    f"has {driven}{train}"
-                )
-        for finger, limits, joints in zip(self.fingers, self.limits, own, strict=True):
-            if np.abs(limits - hand.limits[list(joints)]).max() > _SAME_ANGLE:
-                raise ConfigError(
-                    f"{about}, whose {finger} joints have the limits {limits.tolist()}, but those "
-                    f"of {hand.name!r} are {hand.limits[list(joints)].tolist()} [rad]{train}"
-                )
-        if self.poses.shape[1] != len(hand.actuated):
-            raise ConfigError(
-                f"{about} with {self.poses.shape[1]} actuated joints, but {hand.name!r} has "
-                f"{len(hand.actuated)}{train}"
-            )
         mirrored = self.side != hand.spec.side
-        tips = hand.tips(hand.full_configuration(self.poses))
-        expected_tips = self.tips * _MIRROR if mirrored else self.tips
-        away = float(np.abs(tips - expected_tips).max())
-        if away > _SAME_PLACE:
-            image = "the mirror image of " if mirrored else ""
+
+        def refuse(difference: str) -> NoReturn:
             raise ConfigError(
-                f"{about}; the {hand.spec.side} hand {hand.name!r} does not match {image}it: "
-                f"at equal joint positions its fingertips are up to {away * 1e3:.3g} mm off{train}"
+                f"the GeoRT model was trained for the {self.side} hand {self.hand!r}{difference}; "
+                f"train one for it: {training_command(hand)}"
+            )
+
+        def compare(what: str, trained: object, found: object) -> None:
+            if trained != found:
+                refuse(f" with {what} {trained}, but {hand.name!r} has {found}")
+
+        compare("the fingers", self.fingers, hand.fingers)
+        compare("a number of actuated joints of", self.poses.shape[1], len(hand.actuated))
+        for finger, names, limits, joints in zip(
+            self.fingers, self.joints, self.limits, own, strict=True
+        ):
+            driven, found = [hand.actuated_names[j] for j in joints], hand.limits[list(joints)]
+            compare(f"the {finger} joints", list(names), driven)
+            if np.abs(limits - found).max() > _SAME_ANGLE:
+                compare(f"{finger} limits [rad] of", limits.tolist(), found.tolist())
+        tips = hand.tips(hand.full_configuration(self.poses))
+        away = float(np.abs(tips - self.tips * (_MIRROR if mirrored else 1.0)).max())
+        if away > _SAME_PLACE:
+            refuse(
+                f"; the {hand.spec.side} hand {hand.name!r} does not match "
+                f"{'the mirror image of ' if mirrored else ''}it: at equal joint positions its "
+                f"fingertips are up to {away * 1e3:.3g} mm off"
             )
         return mirrored
 
