@@ -151,7 +151,7 @@ def test_settings_are_checked(skeleton, tmp_path):
     frames = capture.numbers(tree, capture.angles(tree, 1), "YXZ", MOVED[:1], False)
     path.write_text(capture.bvh(tree, frames))
     assert BvhStream(path).sides == ("left",)
-    with pytest.raises(ConfigError, match="has only the hand left"):
+    with pytest.raises(ConfigError, match="has only a left hand"):
         BvhStream(path, side="right")
     with pytest.raises(ConfigError, match="port must be"):
         BvhStream(path, port=70_000)

@@ -64,7 +64,7 @@ def test_the_dialogue_finds_joint_ends_and_sense(table, hand):
     assert first.command(np.deg2rad(-30.0)) == pytest.approx(212.0)
     assert second == table.actuators[1]
     assert any("it is blocked" in line for line in said)
-    assert any(line.startswith("joints of mimic_p050") for line in said)
+    assert any(line.startswith("the joints of mimic_p050 are") for line in said)
     assert "2 of 2" in made.source
     assert fake.calls[-2][0] == "relax"
     moved = fake.commands()
@@ -79,7 +79,7 @@ def test_the_last_command_ends_the_question(table, hand):
     with ActuatorMover(FakeHand(table), table, seconds=0.02) as mover:
         made = TableCheck(mover, hand, ask, said.append).run(table)
     assert made.actuators[0].ends == table.actuators[0].ends
-    assert sum("is reached: used as the end" in line for line in said) == 2
+    assert sum("is reached and is used as the end" in line for line in said) == 2
 
 
 @pytest.mark.parametrize("given", [("q",), ("s", "s"), ("", "q"), ("", "k", "q")])
@@ -204,7 +204,7 @@ def test_the_list_names_drivers_tables_and_folder(capsys, tmp_path, monkeypatch)
     assert {"leap", "orca", "dynamixel"} <= found["drivers"].keys()
     assert found["tables"]["leap_right"]["actuators"] == 16
     assert "odd_right.toml" in found["unreadable"][0]
-    assert "none has moved a physical hand" in found["tried"]
+    assert "no driver has moved a physical hand" in found["tried"]
     assert main(["hardware", "list"]) == 0
     printed = capsys.readouterr().out
     assert "orca_left" in printed

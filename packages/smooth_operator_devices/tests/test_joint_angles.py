@@ -168,7 +168,7 @@ def test_a_session_by_ros_2(monkeypatch):
 
             def refused() -> bool:
                 publish["left"](state(13))
-                return "no joint index_knuckle" in source.health().detail
+                return "unknown joint index_knuckle" in source.health().detail
 
             until(refused)
     finally:
@@ -185,7 +185,10 @@ def test_a_session_by_ros_2(monkeypatch):
         (b"{}", "'angles' must be an object of angles by name, not None"),
         (message({}), "'angles' must be an object"),
         (message([1.0] * 20), "'angles' must be an object"),
-        (message({"index_knuckle": 3}), "no joint index_knuckle; the names are thumb_cmc_flexion"),
+        (
+            message({"index_knuckle": 3}),
+            "unknown joint index_knuckle; the names are thumb_cmc_flexion",
+        ),
         (message({"index_mcp": "3"}), "must be a number, not '3'"),
         (message({"index_mcp": True}), "must be a number, not True"),
         (message({"index_mcp": 400}), "'index_mcp' is 400 deg, more than a joint turns"),

@@ -40,7 +40,7 @@ from smooth_operator_devices.hands.table_check import HELP, ActuatorMover, Table
 _REDRAW_S: Final = 0.2
 
 _TRIED: Final = (
-    "each driver was tested with a simulator or with the maker's package; none has moved a "
+    "each driver was tested with a simulator or with the maker's package; no driver has moved a "
     "physical hand yet"
 )
 
@@ -107,7 +107,7 @@ def list_hardware(options: List) -> None:
 
 
 def monitor_hardware(options: Monitor) -> None:
-    """Shows the state of a hand until the time is over or Ctrl-C."""
+    """Shows the state of a hand until the time is over or the user presses Ctrl-C."""
     sink, _, hand = opened(options.device, options.side, options.hand)
     try:
         sink.open({options.side: hand}, {})
@@ -124,7 +124,7 @@ def monitor_hardware(options: Monitor) -> None:
 
 
 def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, ActuatorMap, Hand]:
-    """Returns the sink of a real hand, not yet opened, with its table and its model.
+    """Returns the sink of a real hand, which is not open yet, with its table and its model.
 
     Raises:
         ConfigError: the device is not a real hand, or its table can't be used.
@@ -192,7 +192,7 @@ def _rows(headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
 
 
 def check_hardware(options: Check) -> None:
-    """Tries the actuators of a hand one by one, and writes the table."""
+    """Moves the actuators of a hand one by one, and writes its table."""
     table: ActuatorMap
     if options.ids is None:
         sink, table, hand = opened(options.device, options.side, options.hand)
@@ -200,12 +200,14 @@ def check_hardware(options: Check) -> None:
         device = real_hand(build_sink(options.device))
         if device is None or options.hand is None:
             raise ConfigError(
-                "--ids is for a real hand that has no table yet; name its model with --hand"
+                "--ids is for a real hand that has no table yet; choose its model with --hand"
             )
         sink, hand = device, with_wrist_joints(load_hand(options.hand, options.side))
         ids, low, high = _ids(options.ids), *options.ends
         if not low < high:
-            raise ConfigError(f"--ends must be the minimum command, then the maximum, not {low:g}")
+            raise ConfigError(
+                f"--ends must be the minimum command and the maximum, not {low:g} and {high:g}"
+            )
         table = blank_table(sink.driver, hand, ids, options.unit, (low, high), sink.limit)
     BoundMap(table, hand)
     output = options.output or user_tables_folder() / f"{sink.driver}_{options.side}.toml"
@@ -217,18 +219,22 @@ def check_hardware(options: Check) -> None:
     finally:
         lock.release()
     if checked is None:
-        print("nothing was confirmed, so no table is written")
+        print("no actuator was measured or confirmed, so no table was written")
         return
     write_table(checked, output, f"Written by smooth-operator hardware check {options.device}")
     print(printable(f"\n{output}"))
     if options.output is not None:
-        print(printable(f"use it with: teleop --sink {options.device},table={_absolute(output)}"))
+        print(
+            printable(
+                f"use this table with: teleop --sink {options.device},table={_absolute(output)}"
+            )
+        )
 
 
 def _ask(question: str) -> str:
     try:
         return input(question)
-    except EOFError:  # without input, treat it as the answer to stop
+    except EOFError:  # the end of the input counts as the answer to quit
         return "q"
 
 

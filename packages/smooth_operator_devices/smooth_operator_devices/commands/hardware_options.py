@@ -29,7 +29,7 @@ Example:
 
 @dataclass(frozen=True, kw_only=True)
 class _OneDevice(Common):
-    """Options of the subcommands about one real hand."""
+    """Options of the subcommands for one real hand."""
 
     device: Annotated[Positional[str], arg(metavar="DRIVER:PORT")]
     """The real hand, written as for teleop --sink: leap:/dev/ttyUSB0, orca,
@@ -44,12 +44,13 @@ class _OneDevice(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Check(_OneDevice):
-    """Move one actuator at a time, slowly, ask which joint moved, and write the hand's table."""
+    """Move one actuator after the other slowly, ask which joint moved, and write the table of the
+    hand."""
 
     work: ClassVar[str] = "smooth_operator_devices.commands.hardware:check_hardware"
     details: ClassVar[str] = """For each actuator, the command asks which joint moved, how far it
 can move in each direction, and the joint's angle at both ends. Press Enter to keep the value of the
-table. An actuator whose current stays high stops by itself. Ctrl-C, SIGTERM or closing the terminal
+table. An actuator stops if its current stays high. Ctrl-C, SIGTERM or closing the terminal
 relaxes the hand, and nothing is written.
 
 Examples:
@@ -58,8 +59,7 @@ Examples:
   smooth-operator hardware check dynamixel:/dev/ttyUSB0 --hand my_hand --ids 1-12 --unit step"""
 
     output: Annotated[Path | None, arg(metavar="FILE")] = None
-    """File of the table. Default: DRIVER_SIDE.toml in your folder of tables, where teleop finds
-    it."""
+    """File to write. Default: DRIVER_SIDE.toml in your folder of tables, where teleop finds it."""
 
     ids: Annotated[str | None, arg(metavar="1-16")] = None
     """Actuator IDs of a hand that has no table yet, such as 1-12 or 0,3,5."""

@@ -311,7 +311,7 @@ class HandWorker:
             raise
 
     def _pace(self, cycle: float) -> None:
-        """Sleep until the next cycle: for a new command, but not before the bus is due."""
+        """Wait for the next cycle. A new command ends the wait once the bus is due again."""
         period, before = self._period, self._tick
         with self._change:
             early = cycle + 0.9 * period - time.perf_counter()
@@ -322,7 +322,7 @@ class HandWorker:
                 self._change.wait_for(lambda: self._ending or self._tick is not before, late)
 
     def _at_rest(self, newest: tuple[Tick, float] | None, now: float) -> Rest | None:
-        """Kind of rest without a valid command; None while there is one."""
+        """Kind of rest if there is no valid command; None if there is one."""
         if newest is None:
             return None
         if newest[0].mode is Mode.STOPPED:
@@ -336,7 +336,7 @@ class HandWorker:
         return None
 
     def _close(self) -> None:
-        with contextlib.suppress(Exception):  # of a device that is gone, and must not raise
+        with contextlib.suppress(Exception):  # closing a lost device must not raise
             self._device.close()
         self._release()
 
@@ -346,7 +346,8 @@ class HandWorker:
             lock.release()
 
     def _rest(self, rest: Rest, reading: Reading) -> None:
-        """Hold the position that two readings agree on, or relax; a hand without power stays so."""
+        """Hold the position on which two readings agree, or relax. A hand without power stays as it
+        is."""
         try:
             if self._commands is None:
                 return
@@ -383,7 +384,7 @@ class HandWorker:
         return reading
 
     def _call(self, action: Callable[..., _T], *arguments: object) -> _T:
-        """Call an action on the bus, and store the time of its start."""
+        """Call an action on the bus, and remember when it started."""
         self._busy_since = time.perf_counter()
         try:
             return action(*arguments)
@@ -396,16 +397,17 @@ def _described(error: Exception) -> SinkError:
 
 
 class BusStatistics:
-    """Counts and times of a bus; its worker writes, any thread reads.
+    """Counts and times of a bus. Its worker writes them, and any thread may read them.
 
     Attributes:
         cycles: number of cycles.
-        wrong: number of failed exchanges: no answer in time, wrong checksum, invalid answer.
-        slow: number of cycles that were longer than their period.
-        lost: number of losses of the device.
-        silences: number of silences of the commands.
-        not_finite: number of commands with a NaN or an infinity, replaced by the last finite one.
-        latest: the last failure in one sentence; empty without one.
+        wrong: number of failed exchanges: no answer in time, a wrong checksum, an invalid answer.
+        slow: number of cycles that took longer than their period.
+        lost: number of times that the device was lost.
+        silences: number of times that no commands arrived.
+        not_finite: number of commands with a NaN or an infinity, each of which was replaced by the
+            last finite command.
+        latest: the last failure, in one sentence; empty if there was none.
     """
 
     def __init__(self) -> None:
@@ -415,13 +417,13 @@ class BusStatistics:
         self._times = RecentTimes()
 
     def add(self, seconds: float, period: float) -> None:
-        """Add a cycle: its length and its period [s]."""
+        """Add a cycle, with its length and its period [s]."""
         self._times.append(seconds * 1e3)
         self.cycles += 1
         self.slow += seconds > period
 
     def summary(self) -> dict[str, Any]:
-        """Counts, and percentiles of the last cycles [ms], as plain values."""
+        """Counts, and percentiles of the lengths of the last cycles [ms], as plain values."""
         figures: dict[str, Any] = {
             "cycles": self.cycles,
             "wrong_answers": self.wrong,
@@ -437,30 +439,31 @@ class BusStatistics:
 
 @dataclass(frozen=True)
 class HardwareSink(Sink):
-    """Moves one real hand safely, through a driver of its protocol.
+    """Base class of the sinks that move a real hand.
 
-    A thread of its own uses the bus and takes the newest command. At the start, and after silence,
-    an emergency stop, missing answers or a lost device, it reads the position of the hand twice and
-    approaches the target slowly. Without commands the hand rests as its table says.
+    A separate thread uses the bus, and sends the newest command. At the start, and after silence,
+    an emergency stop, missing answers or a lost device, the thread reads the position of the hand
+    twice and approaches the target slowly. Without commands the hand rests as its table says.
 
-    A driver is a frozen dataclass that derives from this one, sets ``driver`` and implements
-    ``device``; it may add settings, such as a baud rate.
+    A driver is a frozen dataclass that derives from this class, sets ``driver`` and implements
+    ``device``. It may add settings, such as a baud rate.
 
     Attributes:
-        port: port of the hand: a serial port, a network address, a CAN channel.
-        table: table of its actuators: a file, or the name of one; empty for the driver's own.
-        side: side of the hand in the run; None for the only one.
-        rate: cycles per second on the bus [Hz]; None for that of the table.
-        limit: limit of current [mA], or of force, in the driver's unit; None for that of the table.
+        port: port of the hand: a serial port, a network address or a CAN channel.
+        table: file or name of the table of its actuators; empty for the driver's own table.
+        side: side of the hand in the run; None if the run has only one hand.
+        rate: cycles per second on the bus [Hz]; None for the rate of the table.
+        limit: limit of current [mA], or of force in the driver's unit; None for the limit of the
+            table.
         approach: speed of a slow approach [rad/s].
         speed: speed limit of every actuator [rad/s].
-        contact: share of ``limit`` from which on an actuator counts as squeezing and stops; 0 for
-            no contact guard.
+        contact: share of ``limit`` at which an actuator counts as in contact and stops; 0 switches
+            the contact guard off.
         silence_s: time without a command after which the hand rests [s].
         lost_s: time without a valid answer after which the device is opened again [s].
 
     Raises:
-        ConfigError: a setting is out of its range.
+        ConfigError: a setting is outside its range.
     """
 
     moves_real_hand: ClassVar[bool] = True
@@ -492,13 +495,16 @@ class HardwareSink(Sink):
         check_range(f"{self.driver}: lost_s", self.lost_s, 0.05, 60.0, "s")
         if self.limit is not None and not 0.0 < self.limit < math.inf:
             raise ConfigError(
-                f"{self.driver}: limit must be over 0 and finite, not {self.limit:g}; omit "
-                "it to use the limit of the table"
+                f"{self.driver}: limit must be positive and finite, not {self.limit:g}; leave it "
+                "out to use the limit of the table"
             )
 
     @abstractmethod
     def device(self, actuators: ActuatorMap) -> HandDevice:
-        """Create the device, not yet open; ``actuators`` has the run's limit of current.
+        """Create the device, which is not open yet.
+
+        Args:
+            actuators: table of the hand, with the limits of this sink.
 
         Raises:
             MissingExtraError: its library is not installed.
@@ -507,7 +513,7 @@ class HardwareSink(Sink):
 
     @property
     def bus(self) -> str:
-        """Bus that is locked for this program, in a form of ``bus_name``; by default the port."""
+        """Bus that this program locks, in a form of ``bus_name``. Default: the port."""
         return self.port or self.driver
 
     @property
@@ -522,12 +528,12 @@ class HardwareSink(Sink):
 
     @property
     def note(self) -> str:
-        """Note on a hand that does not follow, on errors, temperatures and counts."""
+        """Note for the user: the hand does not follow, errors, temperatures and counts."""
         return "" if self._worker is None else self._worker.note
 
     @property
     def measures(self) -> bool:
-        """True: the hand is read in every cycle."""
+        """True, because the hand is read in every cycle."""
         return True
 
     @property
@@ -536,15 +542,15 @@ class HardwareSink(Sink):
         return self._statistics.summary()
 
     def table_of(self, hand: str) -> str:
-        """Name or path of the table for a robot hand; empty for the one that the driver names."""
+        """Name or path of the table for a robot hand; empty for the driver's own table."""
         del hand
         return self.table
 
     def actuators(self, side: Side, hand: str = "") -> ActuatorMap:
-        """The table of the hand, with this sink's settings.
+        """Table of the hand, with the rate and the limits of this sink.
 
         Args:
-            hand: name of the robot hand, for a driver with a table for each of several hands.
+            hand: name of the robot hand, for a driver that has tables for several hands.
 
         Raises:
             ConfigError: there is no such table, or it can't be used.
@@ -565,14 +571,14 @@ class HardwareSink(Sink):
         return table if self.rate is None else replace(table, rate=self.rate)
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Check table and settings, open and read the hand, and close it; nothing moves."""
+        """Check the table and the settings, and open, read and close the hand. Nothing moves."""
         self.open(hands, {})
         self.close()
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Lock the bus, and open and read the hand; see ``Sink``."""
+        """Lock the bus, open the hand and read it; see ``Sink``."""
         if self._worker is not None:
-            raise SinkError(f"{self.label}: it is already open")
+            raise SinkError(f"{self.label} is already open")
         side = self._side(hands)
         hand = hands[side]
         table = self.actuators(side, hand.name)
@@ -581,26 +587,26 @@ class HardwareSink(Sink):
         self._set(_worker=worker)
 
     def send(self, tick: Tick) -> None:
-        """Leave the command for the thread; takes microseconds, whatever the bus does.
+        """Hand the command to the thread. This takes microseconds, whatever the bus does.
 
         Raises:
-            SinkError: the thread gave up.
+            SinkError: the thread has ended with an error.
         """
         worker = self._worker
         if worker is None:
-            raise SinkError(f"{self.label}: it is not open")
+            raise SinkError(f"{self.label} is not open")
         if tick.side == worker.side:
             worker.post(tick)
 
     def state(self, side: Side) -> HandState | None:
-        """The last measured state of the hand; safe from any thread."""
+        """Last measured state of the hand. Any thread may ask for it."""
         worker = self._worker
         return worker.state if worker is not None and worker.side == side else None
 
     @property
     def reading(self) -> Reading | None:
-        """The newest measurement in the actuators' unit, with touch pads; None while the hand is
-        lost. Safe from any thread."""
+        """Newest measurement in the unit of the actuators, with touch pads; None while the hand is
+        lost. Any thread may ask for it."""
         worker = self._worker
         return None if worker is None else worker.reading
 
@@ -614,18 +620,20 @@ class HardwareSink(Sink):
     def _side(self, hands: Mapping[Side, Hand]) -> Side:
         if self.side is not None:
             if self.side not in hands:
-                raise ConfigError(f"{self.label}: the run has no {self.side} hand; see --side")
+                raise ConfigError(
+                    f"{self.label}: the run has no {self.side} hand; choose it with --side"
+                )
             return self.side
         if len(hands) != 1:
             raise ConfigError(
-                f"{self.label}: the run has both hands, but a device is only one of them: "
-                "add side=right or side=left, and a second sink for the other hand"
+                f"{self.label}: the run has two hands, and this sink moves one of them; add "
+                "side=right or side=left, and a second sink for the other hand"
             )
         return next(iter(hands))
 
 
 def real_hand(sink: object) -> HardwareSink | None:
-    """The sink if it moves a real hand, else None."""
+    """Returns the sink if it moves a real hand, else None."""
     return sink if isinstance(sink, HardwareSink) else None
 
 

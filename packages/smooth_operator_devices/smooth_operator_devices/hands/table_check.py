@@ -1,4 +1,4 @@
-"""Dialogue that measures the motion of a real hand's actuators, and makes its table."""
+"""Dialogue that measures how the actuators of a real hand move, and makes its table."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from smooth_operator_devices.hands.device import (
 )
 
 _STEPS: Final = 20
-"""Steps over an actuator's range on the way to an end."""
+"""Number of steps over the range of an actuator."""
 
-HELP: Final = """The actuators move slightly and back, one after the other. Enter what you see; a
-second terminal with `smooth-operator hands show NAME` shows each joint and the direction in which
-its slider moves it. Keep the hand free on all sides, and a hand on its power switch. Ctrl-C relaxes
-it."""
+HELP: Final = """The actuators move a little and back, one after the other. Enter what you see. In a
+second terminal, `smooth-operator hands show NAME` shows each joint and the direction in which its
+slider moves it. Keep the space around the robot hand free, and keep your own hand on its power
+switch. Ctrl-C relaxes the robot hand."""
 
 
 class TableCheck:
-    """Asks a person about each actuator, and collects the answers in a table.
+    """Asks the user about each actuator, and collects the answers in a table.
 
     Args:
         mover: the hand.
-        hand: its model, with the joints that the actuators move.
-        ask: shows a question and returns the answer, like ``input``.
-        say: shows a line.
+        hand: model of the hand, with the joints that the actuators move.
+        ask: function that shows a question and returns the answer, like ``input``.
+        say: function that shows a line.
     """
 
     def __init__(
@@ -55,8 +55,8 @@ class TableCheck:
         """Go through the actuators of a table.
 
         Returns:
-            the table with the measurements; None if nothing was changed or confirmed. Skipped
-            actuators are unchanged.
+            the table with the measurements, in which skipped actuators are unchanged; None if no
+            actuator was measured or confirmed.
 
         Raises:
             SinkError: the device was lost.
@@ -87,7 +87,7 @@ class TableCheck:
         if low is None or high is None:
             return "quit"
         if not low < high:
-            self._say(f"the ends {low:g} and {high:g} are not a range: unchanged")
+            self._say(f"the ends {low:g} and {high:g} are not a range, so nothing was changed")
             return "skip"
         points = actuator.points if actuator.crank else self._angles(actuator, low, high, unit)
         return replace(actuator, joints=joints, points=points, ends=(low, high))
@@ -101,8 +101,8 @@ class TableCheck:
             self._mover.move(index, start + step)
             self._mover.move(index, start)
             answer = self._ask(
-                f"It moved. Which joint? Enter for {now}, a joint's name, a to see it again, "
-                "s to skip, q to quit: "
+                f"Which joint moved? Press Enter for {now}, or type the name of a joint, a to see "
+                "the motion again, s to skip, q to quit: "
             ).strip()
             if answer == "":
                 return dict(actuator.joints)
@@ -111,25 +111,29 @@ class TableCheck:
             if answer in self._hand.joint_names and not actuator.crank:
                 return {answer: 1.0}
             if answer != "a":
-                self._say(f"joints of {self._hand.name}: {', '.join(self._hand.joint_names)}")
+                self._say(
+                    f"the joints of {self._hand.name} are {', '.join(self._hand.joint_names)}"
+                )
 
     def _end(
         self, index: int, actuator: Actuator, start: float, way: int, unit: str
     ) -> float | None:
-        """Find the end of an actuator in one direction; None to quit."""
+        """Find the end of the range of an actuator in one direction; None to quit."""
         low, high = actuator.ends
         step, stated = way * (high - low) / _STEPS, high if way > 0 else low
-        side = "greatest" if way > 0 else "least"
+        side = "maximum" if way > 0 else "minimum"
         self._mover.move(index, start)
         while True:
             at = self._mover.position(index)
             if way * (stated - at) < 0.25 * abs(step):
-                self._say(f"its {side} command, {stated:g} {unit}, is reached: used as the end")
+                self._say(
+                    f"the {side} command, {stated:g} {unit}, is reached and is used as the end"
+                )
                 return float(stated)
             answer = self._ask(
-                f"Towards its {side} command, now {at:.6g} {unit}. Enter for a step, a "
-                f"number of steps, e if this is the end of its range, k to keep {stated:g}, "
-                "q to end: "
+                f"It moves towards its {side} command and is at {at:.6g} {unit}. Press Enter for a "
+                "step, or type a number of steps, e if this is the end of its range, k to keep "
+                f"{stated:g} as the end, q to quit: "
             ).strip()
             if answer == "q":
                 return None
@@ -140,20 +144,20 @@ class TableCheck:
             count = int(answer) if answer.isdigit() else 1
             if not self._mover.move(index, at + count * step):
                 at = self._mover.position(index)
-                self._say(f"it is blocked at {at:.6g}: used as the end")
+                self._say(f"it is blocked at {at:.6g}, which is used as the end")
                 return float(at - 0.5 * step)
 
     def _angles(
         self, actuator: Actuator, low: float, high: float, unit: str
     ) -> tuple[tuple[float, float], ...]:
-        """Ask for the joint's angle at both ends."""
+        """Ask for the angle of the joint at both ends."""
         while True:
             pairs = []
             for command in (low, high):
                 stated = np.rad2deg(actuator.angle(command))
                 answer = self._ask(
-                    f"The joint's angle in the model at {command:.6g} {unit}, in degrees; Enter "
-                    f"for {stated:.1f}: "
+                    f"Type the angle of the joint in the model at {command:.6g} {unit}, in "
+                    f"degrees, or press Enter for {stated:.1f}: "
                 ).strip()
                 try:
                     degrees = float(answer) if answer else stated
@@ -180,11 +184,11 @@ def blank_table(
     ends: tuple[float, float],
     limit: float | None = None,
 ) -> ActuatorMap:
-    """Table for a hand without one. Maps every id to the first joint, until a check corrects it.
+    """Table for a hand that has none. Every id moves the first joint until a check corrects it.
 
     Args:
         ends: range in which an actuator may be moved.
-        limit: limit of current or force, in the driver's unit; None for that of the device.
+        limit: limit of current or force, in the driver's unit; None for the limit of the device.
     """
     joint = hand.actuated_names[0]
     return ActuatorMap(
@@ -203,33 +207,34 @@ def blank_table(
 
 
 _CONTACT: Final = 0.8
-"""Share of the limit of current from which an actuator counts as blocked."""
+"""Share of the limit of current at which an actuator counts as blocked."""
 
 _BLOCKED_S: Final = 0.15
 _PATIENCE_S: Final = 0.5
-"""Time without a right answer after which the device counts as lost [s]."""
+"""Time without a valid answer after which the device counts as lost [s]."""
 
 _WAIT_S: Final = 60.0
-"""Longest that one motion may take [s]."""
+"""Longest time of one motion [s]."""
 
 
 class ActuatorMover:
     """Moves single actuators of a hand, while the others hold.
 
-    A thread exchanges messages with the device all the time, since devices have watchdogs of their
-    own. An actuator whose current stays high stops. Use as a context manager: at the end, after an
-    error and after a signal the hand is relaxed.
+    A thread exchanges messages with the device all the time, because a device may have a watchdog.
+    An actuator whose current stays high stops. It is a context manager, which relaxes the hand at
+    the end, after an error and after a signal.
 
     Args:
         device: the hand.
-        actuators: its table. Commands are not limited to its ends, since the check measures them.
-        seconds: time of a motion over the whole range of an actuator in the table [s].
+        actuators: table of the hand. Commands may be outside its ends, because the check measures
+            the ends.
+        seconds: time of a motion over the whole range of an actuator [s].
 
     Attributes:
         names: names of the actuators.
 
     Raises:
-        SinkError: it can't be opened, or a position is not known.
+        SinkError: the hand can't be opened, or an actuator gives no position.
     """
 
     def __init__(self, device: HandDevice, actuators: ActuatorMap, seconds: float = 6.0) -> None:
@@ -256,7 +261,7 @@ class ActuatorMover:
 
     @property
     def reading(self) -> Reading:
-        """The newest answer of the hand.
+        """Newest answer of the hand.
 
         Raises:
             SinkError: the device was lost.
@@ -273,7 +278,7 @@ class ActuatorMover:
         """Move one actuator slowly to a command, and wait for it.
 
         Returns:
-            False if it was blocked; it then holds where it stopped.
+            False if the actuator was blocked; it then holds the position where it stopped.
 
         Raises:
             SinkError: the device was lost.
@@ -283,7 +288,7 @@ class ActuatorMover:
         self._goal[index] = command
         end = time.monotonic() + _WAIT_S
         while self._at[index] != self._goal[index] and time.monotonic() < end:
-            _ = self.reading  # raises where the device is gone
+            _ = self.reading  # raises if the device is lost
             time.sleep(self._period)
         settled = self._cycles + round(_BLOCKED_S / self._period) + 3
         while self._cycles < settled and time.monotonic() < end:
@@ -304,7 +309,7 @@ class ActuatorMover:
         self._ending.set()
         try:
             self._relaxed.wait(2.0)
-        except KeyboardInterrupt:  # a second one: the hand is relaxed first
+        except KeyboardInterrupt:  # a second one, after which the hand is relaxed, too
             self._relaxed.wait(2.0)
         self._device.close()
 
@@ -319,7 +324,7 @@ class ActuatorMover:
                     raise
         lost = [n for n, v in zip(self.names, reading.positions, strict=True) if v != v]
         if lost:
-            raise SinkError(f"{', '.join(lost)} gave no position; check their cables")
+            raise SinkError(f"no position of {', '.join(lost)}; check the cables")
         return reading
 
     def _run(self) -> None:
@@ -328,7 +333,7 @@ class ActuatorMover:
             while not self._ending.wait(self._period):
                 step = self._speeds * self._period
                 try:
-                    if missed:  # it may have moved or fallen meanwhile
+                    if missed:  # the hand may have moved in the meantime
                         here = agreed_reading(self._device.read, self._table).positions
                         self._at = np.where(np.isfinite(here), here, self._at)
                     self._at += np.clip(self._goal - self._at, -step, step)
@@ -341,7 +346,7 @@ class ActuatorMover:
                     missed = True
                     if time.monotonic() - answered > _PATIENCE_S:
                         raise
-        except Exception as error:  # reaches the person with the next question
+        except Exception as error:  # raised by the next question to the user
             self._error = error
         finally:
             try:
@@ -355,7 +360,7 @@ class ActuatorMover:
         before, self._reading = self._reading, reading
         if reading.currents is None:
             return
-        high = np.abs(reading.currents) >= self._levels  # False where there is no limit
+        high = np.abs(reading.currents) >= self._levels  # False for an actuator without a limit
         high &= np.abs(reading.positions - before.positions) < 0.3 * self._speeds * self._period
         self._loaded_s = np.where(high, self._loaded_s + self._period, 0.0)
         stop = (self._loaded_s >= _BLOCKED_S) & ~self._blocked

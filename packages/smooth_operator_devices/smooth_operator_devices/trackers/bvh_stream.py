@@ -1,7 +1,7 @@
-"""Body captures with fingers as BVH over UDP: Axis Studio (Perception Neuron), hc_mocap and others.
+"""Hands of a body capture, as BVH over UDP: Axis Studio (Perception Neuron), hc_mocap and others.
 
-A datagram has the numbers of one frame, in the order of the channels of the BVH file that the same
-program exports. The file gives the names, lengths and order of rotations that the stream lacks.
+A datagram has the numbers of one frame, in the order of the channels of a BVH file from the same
+program. The file has the names, the lengths and the order of rotations, which the stream lacks.
 
 ==========  =======================================================================================
 form        datagram
@@ -13,7 +13,7 @@ binary      64 bytes, little-endian: uint16 0xDDFF; version, 4 bytes, the major 
 text        ``INDEX NAME number number ... ||`` for each person, or the numbers alone (hc_mocap)
 ==========  =======================================================================================
 
-Positions are in the unit of the file, rotations in degrees. There is no time.
+Positions are in the unit of the file, and rotations in degrees. A datagram has no time.
 
 Source: ``NeuronDataReaderManaged.cs`` of https://github.com/pnmocap/Neuron_Mocap_Live_Unity
 (Noitom; the header of version 1.1.0.0); the text of hc_mocap from ``hc_mocap_input.py`` of
@@ -41,19 +41,19 @@ from smooth_operator.teleop.sources.stream import Hands, OneSender, Reader, Stre
 from smooth_operator.types import Side
 
 PORT: Final = 7001
-"""UDP port of Noitom's own plug-ins; hc_mocap sends to 1118."""
+"""UDP port of Noitom's plug-ins; hc_mocap sends to 1118."""
 
 _HEADER: Final = struct.Struct("<H4BHBBI32sIIIIH")
 _START: Final = 0xDDFF
 _END: Final = 0xEEFF
 _VERSION: Final = 1
 _REFERENCE: Final = 6
-"""Numbers of a reference joint before those of the skeleton."""
+"""Number of values of a reference joint, which come before those of the skeleton."""
 
 
 @dataclass(frozen=True)
 class BvhStream(StreamSource):
-    """Hands of a body capture whose program broadcasts BVH over UDP.
+    """Source of hands from a body capture whose program broadcasts BVH over UDP.
 
     UDP has no passwords, so anyone who can send to the port moves the hand. By default the source
     listens on this computer only. There is no flag for a lost hand: a frame that repeats the last
@@ -81,8 +81,8 @@ class BvhStream(StreamSource):
         super().__post_init__()
         if not self.sides:
             raise ConfigError(
-                f"side is {self.side!r}, but {self.skeleton} has only the hand "
-                f"{listed(self._skeleton.hands)}"
+                f"side is {self.side!r}, but {self.skeleton} has only a "
+                f"{listed(self._skeleton.hands)} hand"
             )
 
     @property
@@ -101,7 +101,7 @@ class BvhStream(StreamSource):
         return "; in the capture program, switch on BVH broadcasting by UDP to this address"
 
     def connect(self) -> Inbox:
-        """Takes the port."""
+        """Opens the port."""
         return UdpInbox(self.host, self.port, "bvh:FILE,port=PORT")
 
     @cached_property
@@ -148,7 +148,7 @@ def read_people(data: bytes) -> Iterator[tuple[int | None, np.ndarray]]:
     """Index of each person of a datagram (None if it has none) and the numbers of its frame.
 
     Raises:
-        RecordingError: the datagram has neither form, or a later version.
+        RecordingError: the datagram has neither form, or an unknown version.
     """
     check_size(data)
     if data[:2] == struct.pack("<H", _START):

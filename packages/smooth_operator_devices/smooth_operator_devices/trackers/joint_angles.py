@@ -1,6 +1,6 @@
-"""Gloves and exoskeletons that measure joint angles: UDP, ZeroMQ, or ROS 2's ``JointState``.
+"""Hands from gloves and exoskeletons that measure joint angles, over UDP, ZeroMQ or ROS 2.
 
-A message over UDP or ZeroMQ is JSON, of one hand or of both::
+A message over UDP or ZeroMQ is JSON, and has one hand or both::
 
     {"side": "right", "stamp": 12.5, "angles": {"thumb_cmc_flexion": 10, "index_mcp": 35, ...}}
     {"stamp": 12.5, "hands": [{"side": "right", "angles": {...}}, {"side": "left", ...}]}
@@ -9,10 +9,11 @@ The names are those of ``smooth_operator.synthetic``: ``thumb_cmc_flexion``,
 ``thumb_cmc_abduction``, ``thumb_mcp``, ``thumb_ip``, and for index, middle, ring and pinky
 ``index_mcp_abduction``, ``index_mcp``, ``index_pip``, ``index_dip``. Flexion is positive, abduction
 of a finger towards the thumb, flexion of the thumb's CMC towards the little finger, and its
-abduction away from the palm; all are 0 in a flat hand. A DIP that a message does not name is 2/3 of
-its PIP, any other angle is 0. ``null`` and NaN mean that the glove does not know an angle.
-``wrist`` and ``world`` are as in the messages of the source ``udp``. The form is the project's own.
-The landmarks follow from the angles by the hand of the built-in operator, ``size`` long.
+abduction away from the palm; all are 0 in a flat hand. A DIP angle that is missing in a message is
+2/3 of the PIP angle; any other missing angle is 0. ``null`` and NaN mean that the glove does not
+know an angle. ``wrist`` and ``world`` are as in the messages of the source ``udp``. The format is
+our own; over ROS 2 the message is ``sensor_msgs/JointState``. The landmarks are computed from the
+angles with the hand of the built-in operator, scaled to the length ``size``.
 """
 
 from __future__ import annotations
@@ -56,11 +57,11 @@ _SHARED: Final = ("side", "stamp", "timestamp", "session", "world")
 
 @dataclass(frozen=True)
 class JointAngles(StreamSource):
-    """Hands whose glove gives joint angles, by UDP, ZeroMQ or ROS 2.
+    """Source of hands whose glove gives joint angles, over UDP, ZeroMQ or ROS 2.
 
     Attributes:
         unit: unit of the angles, ``deg`` or ``rad``.
-        side: hands to use; with one hand, also that of messages without a side.
+        side: hands to use; if it is one hand, also the side of messages without a side.
         port: UDP port to listen on; 0 for any free one.
         host: address to listen on; ``0.0.0.0`` for the whole network.
         address: address of a ZeroMQ publisher, instead of UDP.
@@ -69,7 +70,7 @@ class JointAngles(StreamSource):
         size: length of the hand from the wrist to the tip of the middle finger [m].
 
     Raises:
-        ConfigError: a setting is outside its range, or there are two transports.
+        ConfigError: a setting is outside its range, or both ``address`` and ``topic`` are set.
     """
 
     unit: Unit
@@ -143,7 +144,7 @@ class JointAngles(StreamSource):
 
 
 def _hands(data: bytes) -> list[Mapping[str, Any]]:
-    """Objects of the hands of a message, with the common fields of the message."""
+    """Hands of a message, each with the common fields of the message."""
     check_size(data)
     message = parse_json(data)
     hands = message.get("hands", [message]) if isinstance(message, dict) else None
@@ -155,10 +156,14 @@ def _hands(data: bytes) -> list[Mapping[str, Any]]:
 def read_hand(
     message: Mapping[str, Any], unit: Unit, side: Side | None, anatomy: HandAnatomy, received: float
 ) -> Reading:
-    """The hand of an object with ``angles``; ``side`` and ``received`` [s] are for one without.
+    """Hand of an object with ``angles``.
+
+    Args:
+        side: side of the hand if the object has none.
+        received: time of receipt, the stamp if the object has none [s].
 
     Raises:
-        RecordingError: an angle has no known name, is no number, or is no angle in this unit.
+        RecordingError: an angle has an unknown name, is not a number, or is too large for the unit.
     """
     stamp, of_side = read_stamp(message), read_side(message.get("side"), side)
     poses = pose_hand(anatomy, _angles(message.get("angles"), unit)[None])
@@ -180,7 +185,9 @@ def _angles(given: Any, unit: Unit) -> np.ndarray:
     if not isinstance(given, dict) or not given:
         raise RecordingError(f"'angles' must be an object of angles by name, not {brief(given)}")
     if unknown := [name for name in given if name not in _NAMES]:
-        raise RecordingError(f"no joint {listed(unknown, 3)}; the names are {', '.join(_NAMES)}")
+        raise RecordingError(
+            f"unknown joint {listed(unknown, 3)}; the names are {', '.join(_NAMES)}"
+        )
     angles = np.zeros(len(_NAMES))
     for at, name in enumerate(_NAMES):
         value = given.get(name, 0.0)

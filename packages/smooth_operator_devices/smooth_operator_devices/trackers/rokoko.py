@@ -10,8 +10,9 @@ A datagram is JSON in UTF-8, plain or as an LZ4 frame::
 
 A finger has ``Proximal``, ``Medial``, ``Distal`` and ``Tip``; the little one is called ``Little``.
 Positions are in metres in the room, left-handed: y up, z forward. ``timestamp`` is in seconds from
-the start of the scene; a clip that loops goes back. Studio sends a still hand while no glove is on,
-so a hand whose ``meta`` denies it, or whose frame repeats the last one exactly, is lost.
+the start of the scene; a clip that loops goes back. Studio sends a still hand while no glove is on.
+A hand therefore counts as lost if ``meta`` says that it has no glove, or if its frame repeats the
+last one exactly.
 
 Source: "Custom Streaming" with its attachment of JSON v3,
 https://support.rokoko.com/hc/en-us/articles/4410416376977; ``JsonLiveSerializerV3.cs`` and
@@ -49,7 +50,7 @@ WORLD: Final = "rokoko"
 
 _LZ4: Final = b"\x04\x22\x4d\x18"
 _LARGEST: Final = 16 * MAX_BYTES
-"""Most bytes that a datagram may unpack to; five actors with faces have a fifth."""
+"""Largest size of an unpacked datagram [bytes]; five actors with faces need a fifth of it."""
 _FINGERS: Final = ("Thumb", "Index", "Middle", "Ring", "Little")
 _PARTS: Final = ("Proximal", "Medial", "Distal", "Tip")
 _JOINTS: Final[dict[Side, tuple[str, ...]]] = {
