@@ -160,7 +160,8 @@ def _manus() -> bytes:
 def _operator(folder: Path) -> bytes:
     from smooth_operator.calibration.operator_file import OperatorProfile, write_operator
 
-    profile = OperatorProfile("right", {"index": 0.3, "middle": 0.2, "pinky": 0.1}, "x")
+    gaps, mount = {"index": 0.3, "middle": 0.2}, (0.1, -0.02, 0.03, 0.6, 0.0, 0.8, 0.0)
+    profile = OperatorProfile("right", gaps, "x", {"right": mount})
     write_operator(folder / "o.json", profile)
     return (folder / "o.json").read_bytes()
 

@@ -580,8 +580,19 @@ def test_a_wrist_that_is_old_or_unknown_is_not_valid():
     assert reading.frame.T_world_wrist is None
 
 
+def test_a_pose_alone_is_that_of_a_tracker():
+    reader = HandPoseReader({"/t/left": "left"}, {}, "world", "mediapipe", {})
+    pose = ros.Pose(ros.Point(1.0, 2.0, 3.0), ros.Quaternion(0.0, 0.0, 1.0, 0.0))
+    (reading,) = reader.read("/t/left", ros.PoseStamped(ros.Header(ros.Time(50), "m"), pose), 1.0)
+    frame = reading.frame
+    assert (frame.side, frame.stamp, frame.world, reading.stamped) == ("left", 50.0, "m", True)
+    assert frame.T_world_wrist.tolist() == [1, 2, 3, 0, 0, 0, 1]
+    assert not frame.valid.any()
+
+
 def test_settings_of_the_source_that_contradict_each_other():
     for text, words in {
+        "ros2:/p,side=both,message=pose": "put {side} into the topic",
         "ros2:/p,side=both": "put {side} into the topic",
         "ros2:/p,wrist=/w": "set both or neither",
         "ros2:/p,frame=wrist": "set both or neither",

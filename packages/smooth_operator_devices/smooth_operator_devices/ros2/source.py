@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, RecordingError, SourceError
 from smooth_operator.io.landmark_order import layout_order
 from smooth_operator.teleop.sources.inboxes import NEWEST, Inbox
 from smooth_operator.teleop.sources.inboxes import Message as Received
-from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_payload
+from smooth_operator.teleop.sources.payload import Reading, hand_frame, pose_frame, read_payload
 from smooth_operator.teleop.sources.programs import glove_sides, read_glove, read_manus
 from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource, only_side
 from smooth_operator.types import HandFrame, Side
@@ -33,9 +33,9 @@ from smooth_operator_devices.ros2.transport import (
     topic_name,
 )
 
-Kind: TypeAlias = Literal["pose_array", "json", "manus_glove"]
-"""Type of the message: ``geometry_msgs/PoseArray``, ``std_msgs/String`` with JSON, or
-``manus_ros2_msgs/ManusGlove``."""
+Kind: TypeAlias = Literal["pose_array", "json", "manus_glove", "pose"]
+"""Type of the message: ``geometry_msgs/PoseArray``, ``std_msgs/String`` with JSON,
+``manus_ros2_msgs/ManusGlove``, or ``geometry_msgs/PoseStamped`` of a tracker on a hand."""
 Frame: TypeAlias = Literal["world", "wrist", "camera"]
 """Frame of the poses: ``world``, fixed and z up; ``wrist``, which moves with the hand; or
 ``camera``, anything else."""
@@ -44,6 +44,7 @@ KINDS: Final[Mapping[Kind, type[Message]]] = {
     "pose_array": PoseArray,
     "json": String,
     "manus_glove": ManusGlove,
+    "pose": PoseStamped,
 }
 
 MATCH_S: Final = 0.1
@@ -97,7 +98,11 @@ class HandPoseReader:
             raise message
         if isinstance(message, PoseStamped):
             pose = pose_rows([message.pose])[0]
-            side, stamp = self._wrist_topics[topic], seconds_of(message.header.stamp)
+            stamp = seconds_of(message.header.stamp)
+            if (tracked := self._topics.get(topic)) is not None:
+                world = message.header.frame_id or "world"
+                return (Reading(pose_frame(pose, stamp or received, tracked, world), bool(stamp)),)
+            side = self._wrist_topics[topic]
             self._wrists[side] = _WristPose(pose, message.header.frame_id, stamp, received)
             return ()
         side_of = self._topics[topic]
@@ -185,7 +190,9 @@ class Ros2Source(StreamSource):
             (``json``, ``manus_glove``).
         message: ``pose_array``: ``geometry_msgs/PoseArray`` of 21, 25 or 26 poses; ``json``:
             ``std_msgs/String`` with landmarks, or a MANUS glove, as ``udp`` and ``manus`` read
-            them; ``manus_glove``: ``manus_ros2_msgs/ManusGlove``.
+            them; ``manus_glove``: ``manus_ros2_msgs/ManusGlove``; ``pose``:
+            ``geometry_msgs/PoseStamped``, the pose of a tracker in a fixed frame with z up, for
+            ``--wrist-source``.
         frame: reference frame of the poses of a ``pose_array``. ``world``: a fixed frame with z up
             (REP 103), so the pose of the wrist follows from them; ``wrist``: the frame of the topic
             ``wrist``; ``camera``: another, so the wrist has no pose in the world.
@@ -216,7 +223,7 @@ class Ros2Source(StreamSource):
         layout_order(self.layout)
         self._endpoint()
         topics = self._topics()
-        if self.message == "pose_array" and None in topics.values():
+        if self.message in ("pose_array", "pose") and None in topics.values():
             raise ConfigError(
                 "ros2: poses do not contain a side: put {side} into the topic, or use only "
                 "one hand (side=right or side=left)"
