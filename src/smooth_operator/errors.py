@@ -1,8 +1,7 @@
 """One error family: every message states what was expected, what was found, and what to do.
 
-All errors derive from ``SmoothOperatorError``, so a caller can catch the family; errors about a
-value also derive from ``ValueError``, and errors about something missing from the matching built-in
-class, so that code that does not know this package can still catch them.
+All errors derive from ``SmoothOperatorError``, and from the matching built-in class, such as
+``ValueError``, so that code that does not know this package can still catch them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The data types from tracker to robot: hand frames, recordings, joint commands, results.
 
-Units are metres, seconds and radians throughout; quaternions are wxyz. Array fields of the frozen
-dataclasses here are NumPy arrays on the host; nothing in them is mutated after construction.
+Units are metres, seconds and radians; quaternions are wxyz. Arrays are NumPy's and not changed
+after construction.
 """
 
 from __future__ import annotations
@@ -74,10 +74,8 @@ class HandFrame:
     """A tracked human hand at one moment.
 
     Attributes:
-        landmarks: (21, 3) positions [m], in the order of ``LANDMARKS``, in any right-handed frame
-            (retargeting aligns it to the robot's palm).
-        stamp: timestamp of the measurement [s]. None for a tracker without timestamps; a live
-            source and a call of the retargeter then use the time of arrival.
+        landmarks: (21, 3) positions [m], in the order of ``LANDMARKS``, in any right-handed frame.
+        stamp: timestamp of the measurement [s]; None for a tracker without timestamps.
         side: side of the hand.
         valid: (21,) False for landmarks without a trustworthy value. Default: finite landmarks are
             valid.

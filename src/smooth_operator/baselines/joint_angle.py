@@ -66,9 +66,6 @@ class JointAngleMap:
         axes: axes of the human palm in the palm frame.
         needs: human landmarks that the map uses.
 
-    Args:
-        hand: the robot hand.
-
     Raises:
         HandModelError: a finger lacks landmarks, and its joints have no rows in the hand's
             description.
@@ -86,15 +83,8 @@ class JointAngleMap:
         )
 
     def positions(self, aligned: Float[AnyKind, "*batch 21 3"]) -> Float[AnyKind, "*batch m"]:
-        """Joint positions for landmarks.
-
-        Args:
-            aligned: (..., 21, 3) landmarks in the palm frame [m], finite in ``needs``. JAX
-                (traceable), or NumPy (on the host, in the array's precision).
-
-        Returns:
-            (..., m) positions of the actuated joints [rad], within their limits.
-        """
+        """(..., m) positions of the actuated joints within their limits [rad], for (..., 21, 3)
+        landmarks in the palm frame [m], finite in ``needs``; NumPy or JAX."""
         xp = array_namespace(aligned)
         angles = joint_angles(aligned, self.axes)
         # Landmarks outside ``needs`` may be NaN, and 0 x NaN is NaN.
@@ -114,8 +104,7 @@ class JointAngleConfig(MethodConfig):
     """Settings of the joint-angle method; the map belongs to the hand.
 
     Attributes:
-        alignment: alignment of human landmarks to the palm frame. Angles don't depend on its
-            scale; the tracking loss does.
+        alignment: alignment of human landmarks to the palm frame; its scale changes no angle.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -128,11 +117,7 @@ class JointAngleConfig(MethodConfig):
 
 
 class JointAngleState(NamedTuple):
-    """State between frames, on which the next command does not depend.
-
-    Attributes:
-        q: (m,) last command of the actuated joints [rad].
-    """
+    """The (m,) last command [rad], on which the next one does not depend."""
 
     q: Float[Array, " m"]
 
@@ -322,16 +307,12 @@ _PRIOR = 1.5  # sum of squared projected bones (at most 3) below which abduction
 
 
 def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*batch 20"]:
-    """Angles ``JOINT_ANGLES`` of a hand.
+    """(..., 20) angles ``JOINT_ANGLES`` of a hand in (-pi, pi] [rad]; NaN for fingers with a NaN.
 
     Args:
-        landmarks: (..., 21, 3) landmarks [m]. The wrist is not used. A NaN affects only the angles
-            of its finger.
+        landmarks: (..., 21, 3) landmarks [m]; the wrist is not used.
         axes: axes of the palm: its own (``palm_axes``), or constant axes of the frame to which the
             landmarks are aligned.
-
-    Returns:
-        (..., 20) angles in (-pi, pi] [rad]; finite for finite landmarks, even coincident ones.
     """
     xp = array_namespace(landmarks)
     batch = landmarks.shape[:-2]

@@ -78,23 +78,12 @@ class CapsulePairs:
 
     def _depths(self, ends: Float[np.ndarray, "n C 2 3"]) -> Float[np.ndarray, "n P"]:
         middles, out = ends.mean(axis=2), np.full((len(ends), len(self.pairs)), -np.inf)
-        if not len(self.pairs):
-            return out
-        bodies, at = np.unique([c.body for c in self.capsules], return_inverse=True)
-        spread = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
-        spread += [capsule.radius for capsule in self.capsules]
-        own = [np.flatnonzero(at == body) for body in range(len(bodies))]
-        centres = np.stack([middles[:, these].mean(axis=1) for these in own], axis=1)
-        away = np.linalg.norm(middles[0] - centres[0, at], axis=-1) + spread
-        sizes = np.array([away[these].max() for these in own])
-        two, of = np.unique(np.sort(at[self.pairs], axis=1), axis=0, return_inverse=True)
-        a, b = two.T
-        near = np.linalg.norm(centres[:, a] - centres[:, b], axis=-1) < sizes[a] + sizes[b] + _SLACK
-        pose, pair = np.nonzero(near[:, of.reshape(-1)])
+        radii = [capsule.radius for capsule in self.capsules]
+        spread = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1) + radii
+        one, other = self.pairs.T
+        apart = np.linalg.norm(middles[:, one] - middles[:, other], axis=-1)
+        pose, pair = np.nonzero(apart < spread[one] + spread[other] + _SLACK)
         one, other = self.pairs[pair].T
-        apart = np.linalg.norm(middles[pose, one] - middles[pose, other], axis=-1)
-        close = apart < spread[one] + spread[other] + _SLACK
-        pose, pair, one, other = (each[close] for each in (pose, pair, one, other))
         first, second = ends[pose, one], ends[pose, other]
         between, _, _ = segments_apart((first[:, 0], first[:, 1]), (second[:, 0], second[:, 1]))
         out[pose, pair] = self.reach[pair] - np.linalg.norm(between, axis=-1)

@@ -68,16 +68,9 @@ def spread_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
 
 
 class _Circle(NamedTuple):
-    """Circle of a fingertip about an actuated joint of the straight hand.
-
-    Attributes:
-        radius: [m].
-        centre: (3,) from the robot's wrist [m].
-        axis: (3,) unit vector.
-        joint: number of the joint.
-        angles: (N,) positions of the joint [rad].
-        tips: (N, 3) fingertip at these, from the robot's wrist [m].
-    """
+    """Circle of a fingertip about an actuated joint of the straight hand: radius [m], centre from
+    the robot's wrist [m], unit axis, number of the joint, its (N,) positions [rad], and the (N, 3)
+    fingertips at these from the wrist [m]."""
 
     radius: float
     centre: np.ndarray

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.landmarks import FINGERS
@@ -44,8 +45,8 @@ class FingerSpec:
 
     Attributes:
         name: the human finger, one of ``FINGERS``.
-        points: the robot's counterparts of that finger's four human landmarks, base to tip; None
-            for a missing one. The base and the tip are needed.
+        points: counterparts of that finger's four landmarks, base to tip; None for a missing one
+            between them.
     """
 
     name: str
@@ -131,10 +132,7 @@ class Coupling:
 
     def at(self, leader: float) -> float:
         """Position of the joint at a position of its leader [rad]."""
-        value = self.coefficients[-1]
-        for c in self.coefficients[-2::-1]:
-            value = value * leader + c
-        return value
+        return float(polyval(leader, self.coefficients))
 
 
 @dataclass(frozen=True)
@@ -176,8 +174,7 @@ class HandSpec:
         wrist_joints: names of the joints between forearm and palm, from the forearm; see
             ``with_wrist_joints``.
         mirror: True if the file holds the other side and is to be mirrored on loading.
-        gripper: True for a gripper of two jaws, of which one may be fixed. It has no side: either
-            human hand drives the same model.
+        gripper: True for a gripper of two jaws, which either human hand drives.
         joint_map: maps from human joint angles to joints. Other joints get a map by measuring the
             hand, which needs all four points of their finger.
         torque: torque limit of the motors [N m] by their maker: one number for all joints, or

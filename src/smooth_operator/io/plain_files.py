@@ -1,9 +1,9 @@
 """Reads untrusted regular files, and defines the limits of parsing them.
 
-The parsers of the standard library accept texts that later cause failures: brackets nested until
-the stack overflows, whole numbers too long for a float, dotted keys that take minutes. Every
-document from a user, a file or a network is read with ``read_text``, ``parse_toml``
-(``io.entries``) or ``parse_json`` (``io.documents``), which only raise ``DocumentError``.
+The parsers of the standard library accept brackets nested until the stack overflows, whole numbers
+too long for a float, and dotted keys that take minutes. Every document from a user, a file or a
+network is read with ``read_text``, ``parse_toml`` (``io.entries``) or ``parse_json``
+(``io.documents``), which only raise ``DocumentError``.
 """
 
 from __future__ import annotations

@@ -22,9 +22,8 @@ one person, each tracked while it is moved and zoomed a little."""
 
 
 def known_gaps(name: str | None) -> Mapping[str, float]:
-    """Known pinch gaps of a simulated tracker: for a camera, those of a webcam. They were measured
-    on a different person than the gaps of the simulation, as in real use.
-    """
+    """Known pinch gaps of a simulated tracker: for a camera, those of a webcam, which were measured
+    on another person than those of the simulation."""
     return MEDIAPIPE if name == "camera" else NO_GAPS
 
 

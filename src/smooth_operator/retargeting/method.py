@@ -63,11 +63,8 @@ class Method(ABC):
 
     @abstractmethod
     def init(self, seed: int) -> Any:
-        """The state before the first frame: a pytree of arrays without None leaves.
-
-        Args:
-            seed: seed of the random numbers; ignored by methods without any.
-        """
+        """The state before the first frame: a pytree of arrays without None leaves. The seed is
+        that of the random numbers."""
 
     @abstractmethod
     def step(
@@ -134,8 +131,7 @@ class MethodConfig(ABC):
     program. False if the settings do not determine the program, such as the path of a file."""
 
     color: ClassVar[str | None] = None
-    """Colour of a plugin's method in reports, ``#rrggbb``; None derives a colour from its name. The
-    colours of the built-in methods are in ``smooth_operator.retargeting.registry``."""
+    """Colour of a plugin's method in reports, ``#rrggbb``; None derives a colour from its name."""
 
     @property
     def one_thread(self) -> bool:
@@ -144,8 +140,7 @@ class MethodConfig(ABC):
 
     @abstractmethod
     def build(self, hand: Hand) -> Method:
-        """The method for one hand; SmoothOperatorError if the method can't be used with the hand,
-        for the given reason."""
+        """The method for one hand; SmoothOperatorError if it can't be used with the hand."""
 
     def with_alignment(self: C, **changes: Any) -> C:
         """Returns these settings with some fields of ``AlignmentConfig`` replaced; ConfigError if a

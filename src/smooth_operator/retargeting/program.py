@@ -1,10 +1,8 @@
 """The program of one frame: computes command, status and next state from landmarks and state.
 
-Traced functions take the state as trees of arrays. Between frames the state is one array, because a
-program takes and returns one array in a third of the time of twenty.
-
-The parameters of a hand are constants of its program; as arguments, they made a frame 2.1 to 3.5
-times as slow.
+Traced functions take the state as trees of arrays. Between frames the state is one array, which a
+program takes and returns in a third of the time of twenty. The parameters of a hand are constants
+of its program; as arguments, they made a frame 2.1 to 3.5 times as slow.
 """
 
 from __future__ import annotations
