@@ -75,6 +75,26 @@ def test_the_place_of_a_tracker_is_found():
     assert noisy.tilt == pytest.approx(0.009 * np.sqrt(3), rel=0.2)
 
 
+def test_the_place_is_found_for_a_wrist_with_two_axes_and_an_imprecise_slide():
+    """Axes up to 8 mm apart, a forearm that moves by 3 mm, a slide 3° off, a tilted palm."""
+    rng, errors = np.random.default_rng(1), []
+    for _ in range(40):
+        t = np.linspace(0, 2 * np.pi * rng.uniform(6, 12), 600)
+        flexion, deviation = rng.uniform(0.5, 0.9), rng.uniform(0.3, 0.45)
+        first = poses.from_rotation_vectors(np.outer(flexion * np.sin(t), [0, 1, 0]))
+        second = poses.from_rotation_vectors(np.outer(deviation * np.cos(t), [0, 0, 1]))
+        drift = 0.003 * np.sin(0.3 * t[:, None] + rng.uniform(0, 6, 3))
+        centre = poses.rotate(first, np.tile([rng.uniform(0, 0.008), 0, 0], (600, 1))) + drift
+        slide = sliding(heading=np.radians(rng.normal(0, 3)))
+        slide[:, 3:] = poses.from_rotation_vectors(np.radians([*rng.normal(0, 2, 2), 0]))
+        wrists = np.concatenate([centre, poses.multiply(first, second)], axis=1)
+        found = find_mount(tracker(wrists, 0.001), tracker(slide, 0.001))
+        errors.append(poses.separation(found.T_tracker_wrist, MOUNT))
+    distance, angle = np.median(errors, axis=0)
+    assert distance < 0.004
+    assert np.degrees(angle) < 4.5
+
+
 def test_motions_that_do_not_tell_the_place_are_refused():
     swinging, tilted, bent = turning(), sliding(), sliding()
     swinging[:, 0] += 0.03 * np.sin(np.linspace(0, 50, len(swinging)))

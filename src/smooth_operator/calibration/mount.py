@@ -120,7 +120,7 @@ def _pivot(turning: Float[np.ndarray, "n 7"]) -> tuple[Float[np.ndarray, "3"], f
         turn /= np.sqrt(used.sum())
         if turn < TURN:
             raise RecordingError(
-                f"the hand turned too little about one of its axes ({turn:.2f}; at least {TURN:g} "
+                f"the hand turned too little about one of its axes ({turn:.3f}; at least {TURN:g} "
                 "is needed). Move it in wider circles: up and down, and to both sides"
             )
         offset = np.linalg.lstsq(turned.reshape(-1, 3), -moved.ravel(), rcond=None)[0]
