@@ -150,6 +150,9 @@ def egodex_file(
                 else:
                     seen[3] = confidence
                 file[f"confidences/{named}{name}"] = seen
+            elbow = np.tile(np.eye(4), (len(nodes), 1, 1))
+            elbow[:, :3, 3] = nodes[:, 0] - 0.25 * fingers
+            file[f"transforms/{named}Forearm"] = elbow.astype(np.float32)
         file["transforms/camera"] = camera_in_arkit(len(nodes))
         file["camera/intrinsic"] = np.array([[736.6, 0, 960], [0, 736.6, 540], [0, 0, 1.0]])
         for key, value in (about or {}).items():

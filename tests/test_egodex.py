@@ -20,6 +20,7 @@ def test_a_hand_and_its_wrist_come_in_our_axes(tmp_path, side):
     assert poses.separation(read.T_world_wrist, sent.wrist)[:, 1].max() < 1e-3
     found = poses.wrist_from_landmarks(read.landmarks, side)
     assert poses.separation(read.T_world_wrist, found)[:, 1].max() < 0.06
+    np.testing.assert_allclose(read.forearm, np.tile([1.0, 0.0, 0.0], (len(read), 1)), atol=1e-3)
     assert read.world == "egodex"
     assert read.meta["format"] == "egodex"
     assert read.metacarpals is not None

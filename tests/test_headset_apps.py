@@ -119,6 +119,12 @@ def test_both_hands_in_the_conventions_of_the_project(world, read):
         assert frame.stamp == stamps[world]
 
 
+def test_the_vision_pro_sees_the_forearm():
+    for frame in read_hands(app.avp_update(avp()), 3.0):
+        np.testing.assert_allclose(frame.forearm, [1.0, 0.0, 0.0], atol=1e-6)
+    assert all(f.forearm is None for f in read_hands(app.avp_update(avp(forearm=False)), 3.0))
+
+
 def test_the_bytes_of_the_apps():
     points = np.zeros((21, 3))
     points[1], points[9] = (0.05, 0.03, -0.01), (0.09, 0.0, 0.0)

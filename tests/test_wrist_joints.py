@@ -9,13 +9,25 @@ import numpy as np
 import pytest
 import viser
 
-from smooth_operator import Hand, HandFrame, HandSpec, Retargeter, load_hand, poses, read_commands
+from smooth_operator import (
+    Hand,
+    HandFrame,
+    HandSpec,
+    Retargeter,
+    load_hand,
+    poses,
+    read_commands,
+    read_recording,
+)
 from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
 from smooth_operator.datasets.writers.registry import WritingOptions
+from smooth_operator.episode_files.hdf5 import write_hdf5_episode
+from smooth_operator.episode_files.npz import write_npz_episode
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.clip import Clip
+from smooth_operator.formats.episode import Episode
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_discovery.joints import check_wrist_joints
 from smooth_operator.hand_discovery.landmarks import Discovery
@@ -30,6 +42,7 @@ from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig
 from smooth_operator.teleop.sinks.tick import Mode, Tick
@@ -90,6 +103,38 @@ def test_a_palm_that_bends_down_and_to_the_thumb_flexes_and_deviates():
     (deviated,) = follow(load_hand("orca_v2", "left"), left)
     assert flexed == pytest.approx(0.1, abs=0.01)
     assert abs(deviated) < 0.01
+
+
+def test_a_tracker_that_sees_the_forearm_needs_no_reference():
+    hand = load_hand("shadow_hand")
+    q = np.array([-0.3, 0.2])
+    seen = poses.rotate(poses.conjugate(human_turn(hand, q)), np.array([1.0, 0.0, 0.0]))
+    follower = WristFollower(hand)
+    follower.follow(None, 2.0 * seen)
+    np.testing.assert_allclose(follower.target, q, atol=1e-9)
+    follower.release(q)
+    follower.follow(pose(REFERENCE), np.full(3, np.nan))  # the forearm is lost
+    np.testing.assert_array_equal(follower.target, q)
+    follower.follow(pose(REFERENCE), np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(follower.target, [0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz", ".hdf5"])
+def test_files_keep_the_direction_of_the_forearm(tmp_path, suffix):
+    made = SyntheticOperator(seed=1).record(0.1)
+    forearm = np.tile([1.0, 0.0, 0.0], (len(made), 1))
+    forearm[2] = np.nan
+    path = tmp_path / f"hand{suffix}"
+    if suffix == ".mcap":
+        with LogWriter(path) as log:
+            for frame in replace(made, forearm=forearm):
+                log.write_hand(frame)
+    elif suffix == ".npz":
+        write_npz_episode(path, Episode(replace(made, forearm=forearm)))
+    else:
+        pytest.importorskip("h5py")
+        write_hdf5_episode(path, Episode(replace(made, forearm=forearm)))
+    np.testing.assert_array_equal(read_recording(path).forearm, forearm)
 
 
 def test_a_human_wrist_that_bends_further_stops_at_the_limit():

@@ -139,6 +139,16 @@ def wrist_from_landmarks(
     return np.concatenate([points[..., 0, :], quaternions(rotation)], axis=-1)
 
 
+def forearm(elbow: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Unit vectors from elbow to wrist in the wrist's frame, from a point of the forearm in that
+    frame [m]; NaN if the point is missing or less than 5 cm from the wrist."""
+    distance = np.linalg.norm(elbow, axis=-1, keepdims=True)
+    return np.where(distance > _SHORTEST_FOREARM, -_unit(elbow), np.nan)
+
+
+_SHORTEST_FOREARM: Final = 0.05
+
+
 def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     unit: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
     return unit

@@ -85,6 +85,7 @@ class HandFrame:
             axes as in docs/reference/conventions.md. All NaN if the wrist is not valid in this
             frame; None if the tracker does not measure it.
         world: name of that world frame.
+        forearm: (3,) unit vector from elbow to wrist in the wrist's frame; NaN, None as the wrist.
 
     Raises:
         RecordingError: an array has the wrong shape, or the type of the timestamp has a resolution
@@ -99,6 +100,7 @@ class HandFrame:
     orientations: Float[np.ndarray, "21 4"] | None = None
     T_world_wrist: Float[np.ndarray, "7"] | None = None
     world: str | None = None
+    forearm: Float[np.ndarray, "3"] | None = None
 
     def __post_init__(self) -> None:
         _set(self, "landmarks", _shaped(self.landmarks, (NUM_LANDMARKS, 3), "landmarks"))
@@ -145,7 +147,7 @@ class HandRecording:
         valid: (T, 21) False for a missing landmark. Default: finite landmarks are valid.
         metacarpals: (T, 4, 3) metacarpal bases [m] or None.
         orientations: (T, 21, 4) quaternions wxyz or None.
-        T_world_wrist: (T, 7) poses of the wrist or None, as in ``HandFrame``.
+        T_world_wrist, forearm: (T, 7) and (T, 3), or None, as in ``HandFrame``.
         world: name of their world frame.
         name: origin of the recording, for reports.
     """
@@ -160,6 +162,7 @@ class HandRecording:
     meta: dict[str, Any] = field(default_factory=dict)
     T_world_wrist: Float[np.ndarray, "T 7"] | None = None
     world: str | None = None
+    forearm: Float[np.ndarray, "T 3"] | None = None
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks, np.float64)
@@ -303,7 +306,7 @@ def _shaped(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
     return array
 
 
-_OPTIONAL = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
+_OPTIONAL = {"metacarpals": (4, 3), "orientations": (21, 4), "forearm": (3,), "T_world_wrist": (7,)}
 
 
 def _set_optional(obj: HandFrame | HandRecording, *count: int) -> None:

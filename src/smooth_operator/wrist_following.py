@@ -3,8 +3,8 @@
 A tracker measures the palm's orientation, not the angles of the wrist. Seen from the palm, the
 direction of the forearm has two angles, flexion and deviation, and pronation, which turns forearm
 and palm together, does not change it. The wrist joints are set so that the robot's palm sees its
-forearm in the same direction. The operator's forearm is taken to point along the palm at the
-reference, the moment at which the operator takes over, and to stay there.
+forearm in the same direction. If the tracker does not measure the forearm, it is taken to point
+along the palm at the reference, the moment at which the operator takes over, and to stay there.
 """
 
 from __future__ import annotations
@@ -113,10 +113,10 @@ def _turn(axis: _Vector, a: _Vector, b: _Vector) -> float:
 
 
 class WristFollower:
-    """Targets of a hand's wrist joints, from the poses of the operator's wrist.
+    """Targets of a hand's wrist joints, from the operator's forearm or the poses of the wrist.
 
-    The reference is taken at the first pose and again after ``release``: there, the target is where
-    the joints are, so that nothing jumps.
+    With poses only, the reference is taken at the first pose and again after ``release``: there,
+    the target is where the joints are, so that nothing jumps.
 
     Args:
         hand: a robot hand with wrist joints.
@@ -137,21 +137,34 @@ class WristFollower:
         """Forget the reference, and hold the joints at their positions [rad]."""
         self.target, self._forearm = positions, None
 
-    def follow(self, wrist: Float[np.ndarray, "7"] | None, world: object = None) -> None:
+    def follow(
+        self,
+        wrist: Float[np.ndarray, "7"] | None,
+        forearm: Float[np.ndarray, "3"] | None = None,
+        world: object = None,
+    ) -> None:
         """Set the target from a pose of the wrist; a pose that is not valid changes nothing.
 
         Args:
             wrist: pose of the human wrist; None if the tracker does not measure it.
+            forearm: direction of the forearm, ``HandFrame.forearm``, which needs no reference; None
+                if the tracker does not measure it.
             world: identity of the frame of the pose; another one takes a new reference.
         """
+        if forearm is not None:
+            length = math.hypot(*forearm.tolist())
+            if math.isfinite(length) and length > 0.0:
+                self._aim(self.solver.neutral, forearm / length)
+            return
         if wrist is None or not poses.is_valid(wrist):
             return
         if self._forearm is None or world != self._world:
             self._forearm, self._start = poses.rotate(wrist[3:], np.array(_FOREARM)), self.target
             self._world = world
-        seen = poses.rotate(poses.conjugate(wrist[3:]), self._forearm)
-        wanted = self._start + self.solver.angles(seen)
-        self.target = np.clip(wanted, *self.solver.limits.T)
+        self._aim(self._start, poses.rotate(poses.conjugate(wrist[3:]), self._forearm))
+
+    def _aim(self, start: Float[np.ndarray, " k"], forearm: Float[np.ndarray, "3"]) -> None:
+        self.target = np.clip(start + self.solver.angles(forearm), *self.solver.limits.T)
 
 
 class PalmMotion:
@@ -182,9 +195,9 @@ def add_wrist_commands(
 ) -> CommandTrajectory:
     """Adds the wrist joints of a hand to the commands of its fingers.
 
-    The first valid wrist of the recording is the reference, at the neutral positions; a frame
-    without a valid wrist repeats the last position. The limits of velocity and acceleration are for
-    a live run and do not apply here.
+    Without directions of the forearm, the first valid wrist of the recording is the reference, at
+    the neutral positions. A frame without a valid wrist repeats the last position. The limits of
+    velocity and acceleration are for a live run and do not apply here.
 
     Args:
         commands: commands of the fingers for the frames of the recording.
@@ -200,8 +213,8 @@ def add_wrist_commands(
     follower = WristFollower(hand)
     positions = []
     for i in range(len(commands)):
-        wrists = recording.T_world_wrist
-        follower.follow(None if wrists is None else wrists[i])
+        frame = recording[i]
+        follower.follow(frame.T_world_wrist, frame.forearm)
         positions.append(follower.target)
     k = len(hand.spec.wrist_joints)
     return replace(

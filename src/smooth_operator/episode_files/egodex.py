@@ -25,9 +25,12 @@ from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.poses import (
     WORLD_AXES,
     WRIST_AXES,
+    conjugate,
+    forearm,
     from_matrices,
     is_rigid,
     points_to_ours,
+    rotate,
     to_ours,
 )
 from smooth_operator.types import HandRecording, Side
@@ -84,6 +87,12 @@ def egodex_hand(
         valid &= ~(sure <= 0.0)  # NaN: the file does not say
     joints[~valid] = np.nan
     points = points_to_ours(joints[..., :3, 3], _AXES)
+    wrist = to_ours(_poses(joints[:, 0]), _AXES, _WRISTS[side])
+    elbow = None
+    if f"{side}Forearm" in tree["transforms"].arrays:
+        place = egodex_transforms(tree, f"{side}Forearm", path)[:, :3, 3]
+        moved = points_to_ours(place, _AXES) - wrist[:, :3]
+        elbow = rotate(conjugate(wrist[:, 3:]), moved)
     return HandRecording(
         points[:, FROM_WEBXR_25],
         stamps_from_rate(len(points), rate, str(path)),
@@ -91,8 +100,9 @@ def egodex_hand(
         metacarpals=points[:, METACARPALS_WEBXR_25],
         name=path.stem,
         meta={"format": "egodex"},
-        T_world_wrist=to_ours(_poses(joints[:, 0]), _AXES, _WRISTS[side]),
+        T_world_wrist=wrist,
         world=WORLD,
+        forearm=None if elbow is None else forearm(elbow),
     )
 
 

@@ -10,6 +10,7 @@
         metacarpals      (T, 4, 3) float64, units m, index to pinky; if tracked
         orientations     (T, 21, 4) float64, units "quaternion wxyz"; if tracked
         T_world_wrist    (T, 7) float64, units "m, quaternion wxyz", attribute world; if tracked
+        forearm          (T, 3) float64, direction in the wrist's frame; if tracked
     /commands
         joint_positions  (C, n) float64, units rad
         joint_names      (n,) text
@@ -78,7 +79,12 @@ POSE_UNITS: Final = "m, quaternion wxyz"
 Group: TypeAlias = Any
 """A group of h5py, which has no type annotations."""
 
-_OPTIONAL: Final = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
+_OPTIONAL: Final = {
+    "metacarpals": (4, 3),
+    "orientations": (21, 4),
+    "T_world_wrist": (7,),
+    "forearm": (3,),
+}
 
 
 def write_hdf5_episode(path: Path, episode: Episode) -> None:
@@ -198,6 +204,7 @@ def _write_hand(group: Group, recording: HandRecording, meta: dict[str, Any]) ->
         ("metacarpals", "m"),
         ("orientations", "quaternion wxyz"),
         ("T_world_wrist", POSE_UNITS),
+        ("forearm", None),
     ):
         value = getattr(recording, name)
         if value is not None:

@@ -32,11 +32,17 @@ GROUPS = (
     *("transforms", "confidences", "camera"),
 )
 ARRAYS = {
-    "transforms": (*EGODEX_JOINTS["right"], *EGODEX_JOINTS["left"], "camera"),
+    "transforms": (
+        *(*EGODEX_JOINTS["right"], *EGODEX_JOINTS["left"]),
+        *("rightForearm", "leftForearm", "camera"),
+    ),
     "confidences": EGODEX_JOINTS["right"] + EGODEX_JOINTS["left"],
     "camera": ("intrinsic",),
     "/": ("configuration",),
-    "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist"),
+    "hand": (
+        *("landmarks", "stamps", "valid", "metacarpals", "orientations"),
+        *("T_world_wrist", "forearm"),
+    ),
     "commands": (
         *("joint_positions", "joint_names", "stamps", "latency_ms", "status"),
         *("wrist", "wrist_engaged", "wrist_valid"),

@@ -10,6 +10,7 @@ array                     shape               content
 ``metacarpals``           (T, 4, 3) float64   metacarpal bases [m], if tracked
 ``orientations``          (T, 21, 4) float64  quaternions wxyz, if tracked
 ``T_world_wrist``         (T, 7) float64      wrist, x y z [m] and wxyz, if tracked; in ``world``
+``forearm``               (T, 3) float64      forearm in the wrist's frame, if tracked
 ``joint_positions``       (C, n) float64      [rad], if there are commands
 ``joint_names``           (n,) text
 ``latency_ms``            (C,) float64
@@ -99,7 +100,7 @@ def write_npz_episode(path: Path, episode: Episode) -> None:
         arrays["timestamps"] = recording.stamps
         arrays["valid"] = recording.valid
         arrays["side"] = np.array(recording.side)
-        for name in ("metacarpals", "orientations", "T_world_wrist", "world"):
+        for name in ("metacarpals", "orientations", "T_world_wrist", "world", "forearm"):
             if getattr(recording, name) is not None:
                 arrays[name] = np.asarray(getattr(recording, name))
     if commands is not None:

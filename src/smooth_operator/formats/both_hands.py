@@ -175,6 +175,7 @@ def _spread(
         metacarpals=spread(hand.metacarpals),
         orientations=spread(hand.orientations),
         T_world_wrist=spread(hand.T_world_wrist),
+        forearm=spread(hand.forearm),
     )
 
 

@@ -210,6 +210,7 @@ def read_arrays(
         orientations=own.get("orientations", orientations),
         T_world_wrist=own.get("T_world_wrist"),
         world=_world(arrays) if "T_world_wrist" in own else None,
+        forearm=own.get("forearm"),
         name=path.stem,
         meta=meta,
     )
@@ -241,7 +242,7 @@ def _beside_landmarks(
     """
     names = {
         name: next((key for key in (f"{name}_{side}", name) if key in arrays), "")
-        for name in ("valid", "T_world_wrist", "metacarpals", "orientations")
+        for name in ("valid", "T_world_wrist", "metacarpals", "orientations", "forearm")
     }
     own: dict[str, np.ndarray] = {}
     ignored = unread_flags(arrays, {*names.values(), "wrist_valid"})
@@ -257,6 +258,12 @@ def _beside_landmarks(
                 own[name] = stored.load()
             else:
                 ignored.append(names[name])
+    if names["forearm"]:
+        stored = arrays[names["forearm"]]
+        if stored.shape == (count, 3) and stored.dtype.kind == "f":
+            own["forearm"] = stored.load()
+        else:
+            ignored.append(names["forearm"])
     if "orientations" in own:
         own["orientations"] = own["orientations"][:, list(picked)]
     if ignored:

@@ -347,8 +347,7 @@ def _at(model: mujoco.MjModel, point: Point) -> tuple[int, np.ndarray]:
 
 
 def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
-    """Hinges and slides below the palm, in the model's own order; the palm's own joints, such as a
-    wrist's, are not the hand's."""
+    """Hinges and slides below the palm, in the model's own order, without a wrist's joints."""
     own = _below(model, palm)
     own[palm] = False
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

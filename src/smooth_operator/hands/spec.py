@@ -171,8 +171,7 @@ class HandSpec:
         align: three or more landmarks that fix the alignment of human hand to palm: ``wrist``, or
             a finger's name for its base.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for other joints.
-        wrist_joints: names of the joints between forearm and palm, from the forearm; see
-            ``with_wrist_joints``.
+        wrist_joints: names of the joints from forearm to palm; see ``with_wrist_joints``.
         mirror: True if the file holds the other side and is to be mirrored on loading.
         gripper: True for a gripper of two jaws, which either human hand drives.
         joint_map: maps from human joint angles to joints. Other joints get a map by measuring the

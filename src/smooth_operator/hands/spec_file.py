@@ -119,10 +119,9 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
     rows = entries.table("joint_map", {})
     couplings = entries.table("couplings", {})
     more: dict[str, Any] = {}
-    if "align" in entries.names:
-        more["align"] = tuple(entries.texts("align", what="names of fingers or 'wrist'"))
-    if "wrist_joints" in entries.names:
-        more["wrist_joints"] = tuple(entries.texts("wrist_joints", what="names of joints"))
+    for name, what in (("align", "names of fingers or 'wrist'"), ("wrist_joints", "joints")):
+        if name in entries.names:
+            more[name] = tuple(entries.texts(name, what=what))
     return HandSpec(
         name=check_hand_name(entries.text("name", empty=False)),
         side=side,

@@ -30,7 +30,7 @@ from jaxtyping import Float
 from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.landmarks import NODE_LAYOUTS
-from smooth_operator.poses import WORLD_AXES, WRIST_AXES, from_matrices, is_rigid, to_ours
+from smooth_operator.poses import WORLD_AXES, WRIST_AXES, forearm, from_matrices, is_rigid, to_ours
 from smooth_operator.types import HandFrame, Side
 
 WORLD: Final = "avp"
@@ -74,6 +74,9 @@ def avp_frame(
     landmarks = poses[_LANDMARKS, :3]
     valid = np.isfinite(landmarks).all(axis=1)
     check_palm(landmarks, valid, "the joints")
+    # Of the two joints of the forearm, one is at the wrist.
+    elbow = to_ours(_poses(joints[JOINTS : JOINTS + 2]), axes, axes)[:, :3]
+    away = np.nan_to_num(np.linalg.norm(elbow, axis=1))
     anchor = _poses(wrist[None])[0]
     if not anchor[:3].any():
         anchor[:] = np.nan
@@ -86,6 +89,7 @@ def avp_frame(
         orientations=poses[_LANDMARKS, 3:],
         T_world_wrist=to_ours(anchor, WORLD_AXES["openxr"], axes),
         world=WORLD,
+        forearm=forearm(elbow[int(away.argmax())]) if len(elbow) else None,
     )
 
 

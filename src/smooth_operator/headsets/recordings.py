@@ -136,6 +136,7 @@ class _Collected:
             orientations=_stacked(frames, "orientations"),
             T_world_wrist=_stacked(frames, "T_world_wrist"),
             world=frames[0].world,
+            forearm=_stacked(frames, "forearm"),
             name=self._path.stem,
             meta=meta,
         )

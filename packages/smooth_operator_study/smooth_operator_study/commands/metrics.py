@@ -111,7 +111,7 @@ def read_take(file: Path) -> Take:
     recording = log.recording
     if len(stamps) < len(recording):
         parts = ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist")
-        held = {name: getattr(recording, name) for name in parts}
+        held = {name: getattr(recording, name) for name in (*parts, "forearm")}
         recording = replace(
             recording, **{name: a[frames] for name, a in held.items() if a is not None}
         )

@@ -26,6 +26,7 @@ These columns hold, without loss, the data that LeRobot's own columns can't hold
 ``metacarpals``         float64 (12,)          metacarpal bases [m], index to pinky
 ``orientations``        float64 (84,)          quaternions wxyz, one per landmark
 ``human_wrist``         float64 (7,)           in its world: x y z [m], quaternion wxyz
+``human_forearm``       float64 (3,)           unit vector from elbow to wrist, in the wrist's frame
 ``wrist_command``       float64 (7,)           of the robot hand, in the robot's base, the same
 ``wrist_engaged``       bool                   whether the operator's wrist moved it
 ``wrist_valid``         bool                   whether the operator's wrist was known
@@ -99,6 +100,7 @@ _OF_RECORDING: Final = {
     "metacarpals": ("metacarpals", _METACARPAL_NAMES),
     "orientations": ("orientations", _ORIENTATION_NAMES),
     "human_wrist": ("T_world_wrist", POSE_NAMES),
+    "human_forearm": ("forearm", ("x", "y", "z")),
 }
 """Column -> attribute of a recording, which may be None, and names of the components."""
 

@@ -312,6 +312,8 @@ def _recording(
     if _has(own, "human_wrist", table):
         optional["T_world_wrist"] = numbers(table, "human_wrist", 7, file).astype(np.float64)
         optional["world"] = None if own.get("world") is None else str(own["world"])[:64]
+    if _has(own, "human_forearm", table):
+        optional["forearm"] = numbers(table, "human_forearm", 3, file).astype(np.float64)
     if "orientations" in optional:
         optional["orientations"] = optional["orientations"][:, picked]
     return HandRecording(

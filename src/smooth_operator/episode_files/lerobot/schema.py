@@ -49,6 +49,7 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "metacarpals": ("float64", "m"),
     "orientations": ("float64", "quaternions wxyz"),
     "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
+    "human_forearm": ("float64", "direction of the forearm, in the frame of the wrist"),
     "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
     "wrist_engaged": ("bool", "true if the operator's wrist moved the robot's"),
     "wrist_valid": ("bool", "true if the operator's wrist was known"),

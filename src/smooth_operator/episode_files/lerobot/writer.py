@@ -257,6 +257,7 @@ def _own(episode: Episode) -> dict[str, Any]:
         "metacarpals": "metacarpals" in layout,
         "orientations": "orientations" in layout,
         "human_wrist": "human_wrist" in layout,
+        "human_forearm": "human_forearm" in layout,
         "world": None if episode.recording is None else episode.recording.world,
         "wrist_command": "wrist_command" in layout,
         "wrist_world": None if episode.wrist is None else episode.wrist.world,

@@ -461,6 +461,7 @@ def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | N
         valid=np.array([list(row) for row in flags], bool),
         metacarpals=table.optional("metacarpals", 4, 3),
         orientations=table.optional("orientations", NUM_LANDMARKS, 4),
+        forearm=table.optional("forearm", 3),
         name=path.stem,
         meta={"format": "log", "truncated": truncated, "side_assumed": False},
         **_world_wrists(table),

@@ -531,7 +531,8 @@ class HandPipeline:
                 self._wrist.release(self.limiter.q[len(fingers) :])
             if not self.clutch.released:
                 frame = answer.arrival.frame
-                self._wrist.follow(frame.T_world_wrist, (answer.arrival.session, frame.world))
+                world = answer.arrival.session, frame.world
+                self._wrist.follow(frame.T_world_wrist, frame.forearm, world)
             self._target = np.concatenate([self._target, self._wrist.target])
         self.supervisor.usable(now)
         self._driven = Driven(self.retargeter, answer.state)

@@ -170,6 +170,7 @@ def hand_frame(
     layout: str | None = None,
     wrist: Float[np.ndarray, "7"] | None = None,
     world: str | None = None,
+    forearm: Float[np.ndarray, "3"] | None = None,
 ) -> HandFrame:
     """Makes a hand frame from a tracker's points.
 
@@ -182,6 +183,7 @@ def hand_frame(
         metacarpals: metacarpal bases, if they are not among the points.
         layout: order of 21 points; None for this project's order.
         wrist, world: ``HandFrame.T_world_wrist`` and its world frame.
+        forearm: ``HandFrame.forearm``.
 
     Raises:
         RecordingError: the shape is wrong, or the unit is not metres.
@@ -210,6 +212,7 @@ def hand_frame(
         orientations=None if orientations is None else _unit(orientations[rows]),
         T_world_wrist=wrist,
         world=world,
+        forearm=forearm,
     )
 
 
@@ -281,6 +284,7 @@ def _read_hand(
         orientations=turned if orientations is None else orientations,
         metacarpals=_beside(message, "metacarpals", (4, 3)),
         layout=forms.layout,
+        forearm=_beside(message, "forearm", (3,)),
         **tracked,
     )
     return Reading(frame, stamp is not None, read_session(message))
