@@ -182,7 +182,7 @@ def _chosen(
 ) -> HandRecording:
     optional: dict[str, Any] = {
         name: None if getattr(recording, name) is None else getattr(recording, name)[at]
-        for name in ("valid", "metacarpals", "orientations", "T_world_wrist")
+        for name in ("valid", "metacarpals", "orientations", "T_world_wrist", "forearm")
     }
     stamps = recording.stamps[at]
     assert not check or (np.diff(stamps) > 0).all()  # frames are taken in order, and once
