@@ -332,6 +332,8 @@ def test_fingers_spread_a_little_at_no_cost():
         ("leap_hand", ["0", "4", "8"]),
         ("shadow_hand", ["rh_FFJ4", "rh_MFJ4", "rh_RFJ4", "rh_LFJ5", "rh_LFJ4"]),
         ("tesollo_dg5f", [f"rj_dg_{f}_1" for f in (2, 3, 4, 5)] + ["rj_dg_5_2"]),
+        ("linker_l10", ["index_mcp_roll", "ring_mcp_roll", "pinky_mcp_roll"]),  # one motor bends
+        ("schunk_svh", ["right_hand_Finger_Spread"]),  # its thumb's opposition moves the pinky
         ("ability_hand", []),
     ],
 )

@@ -56,14 +56,13 @@ def bends_past_straight(hand: Hand) -> list[Bend]:
 
 
 def spread_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
-    """(m,) mask of the actuated joints that turn a long finger sideways: their axis is across those
-    of two or more other joints, about which the finger bends."""
-    spread = np.zeros(len(hand.limits), bool)
-    for name, circles in zip(hand.fingers, _circles(hand), strict=True):
-        axes = np.array([one.axis for one in circles]).reshape(-1, 3)
-        parallel = (np.abs(axes @ axes.T) > _PARALLEL).sum(axis=1)
-        if name != "thumb" and (parallel > 1).any():
-            spread[[one.joint for one in circles]] |= parallel == 1
+    """(m,) mask of the actuated joints that turn a long finger sideways: their axis is across that
+    of the joint that folds the finger most."""
+    spread, (thumb, *fingers) = np.zeros(len(hand.limits), bool), _circles(hand)
+    for circles in filter(None, fingers):
+        fold = max(circles, key=lambda one: np.ptp(np.linalg.norm(one.tips, axis=-1)))
+        spread[[one.joint for one in circles if abs(one.axis @ fold.axis) < _PARALLEL]] = True
+    spread[[one.joint for one in thumb]] = False
     return spread
 
 
