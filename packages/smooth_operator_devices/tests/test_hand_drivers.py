@@ -30,6 +30,11 @@ from smooth_operator_devices.hands.device import HandDevice, SettingsWatch, Wron
 from smooth_operator_devices.hands.drivers.linker import LinkerSink
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
+BUSES = [
+    name for name in RIGS if name not in ("inspire-touch", "linker-l10", "linker-o6", "rohand-gen1")
+]
+"""Rigs without further models of a hand that speak on the bus as another one does."""
+ON_EACH_BUS = pytest.mark.parametrize("rig", BUSES, indirect=True)
 TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
 
 
@@ -260,6 +265,7 @@ def test_relaxing_is_taken_by_every_hand(rig):
             until(lambda: not rig.powered())
 
 
+@ON_EACH_BUS
 def test_a_hand_lost_in_motion_comes_back(rig):
     rig.patience(0.5)
     with Driven(rig, lost_s=1.0) as driven:
@@ -279,7 +285,7 @@ def test_a_hand_lost_in_motion_comes_back(rig):
 @pytest.mark.parametrize("seconds", [0.1, pytest.param(0.4, marks=pytest.mark.weekly)])
 @pytest.mark.parametrize(
     "rig",
-    [name for name in RIGS if not name.startswith("allegro")],
+    [name for name in BUSES if not name.startswith("allegro")],
     indirect=True,
 )
 def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, seconds):
@@ -400,6 +406,7 @@ def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig):
     assert bool(names) == bool(rig.limits())
 
 
+@ON_EACH_BUS
 def test_wrong_answers_move_nothing_and_pass(rig):
     rig.patience(0.2)
     with Opened(rig) as opened:
@@ -423,6 +430,7 @@ def test_wrong_answers_move_nothing_and_pass(rig):
     assert rig.targets() == 0
 
 
+@ON_EACH_BUS
 def test_a_slow_bus_costs_the_loop_nothing(rig):
     with Driven(rig, lost_s=2.0) as driven:
         rig.faults.delay_s = rig.delay_s
@@ -434,6 +442,7 @@ def test_a_slow_bus_costs_the_loop_nothing(rig):
     assert rig.outside() == 0
 
 
+@ON_EACH_BUS
 def test_nothing_on_the_wire_is_one_sentence(rig):
     rig.patience(0.1)
     rig.lose()
