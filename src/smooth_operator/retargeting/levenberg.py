@@ -35,18 +35,14 @@ _AT_BOUND: Final = 1e-6
 return 1e-15 for 0."""
 
 
-def solve_small(
-    matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
-) -> Float[Array, "*c m"]:
-    """Solves ``matrix @ x = right`` for one or a few small positive definite matrices; NaN for
-    other matrices. Uses LAPACK on a CPU and one kernel on a GPU."""
+def _solve_small(
+    matrices: Float[Array, "c m m"], right: Float[Array, "c m"]
+) -> Float[Array, "c m"]:
+    """Solves ``matrix @ x = right`` for a few small positive definite matrices; NaN for other
+    matrices. Uses LAPACK on a CPU and one kernel on a GPU."""
     if kernels_available():
-        size = right.shape[-1]
-        few = matrices.reshape(-1, size, size), right.reshape(-1, size)
-        return solve_positive_definite(*few).reshape(right.shape)
+        return solve_positive_definite(matrices, right)
     factor = jnp.linalg.cholesky(matrices)
-    if right.ndim == 1:
-        return jax.scipy.linalg.cho_solve((factor, True), right)
     return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
 
 
@@ -70,7 +66,7 @@ def newton_candidates(
     held = (under & (gradient > 0)) | (over & (gradient < 0))
     matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
     right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
-    return jnp.clip(q - solve_small(matrices, right), low, high)
+    return jnp.clip(q - _solve_small(matrices, right), low, high)
 
 
 def best_of(costs: Float[Array, " c"]) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
 import jax
@@ -399,24 +400,20 @@ class Objective:
     @cached_property
     def tree(self) -> KinematicTree:
         """Kinematics of the landmarks of the hand and of the points that terms add."""
-        own: dict[str, tuple[int, np.ndarray]] = {}
-        for term in self.point_terms:
-            own.update(term.own_points())
+        own = {k: v for term in self.point_terms for k, v in term.own_points().items()}
         return tree_with(self.hand, own) if own else self.hand.tree
+
+    @cached_property
+    def _groups(self) -> dict[tuple[str, ...], slice]:
+        """Points of the terms, and where they are in ``kinematics``."""
+        groups = tuple(dict.fromkeys(term.points() for term in self.point_terms))
+        ends = np.cumsum([0, *map(len, groups)]).tolist()
+        return {group: slice(*pair) for group, pair in zip(groups, pairwise(ends), strict=True)}
 
     @cached_property
     def kinematics(self) -> PointKinematics:
         """Kinematics of the points of all terms. A point of several terms may occur twice."""
-        groups = dict.fromkeys(term.points() for term in self.point_terms)
-        return PointKinematics(self.tree, tuple(name for group in groups for name in group))
-
-    @cached_property
-    def _slices(self) -> tuple[slice, ...]:
-        """Positions of each term's points in ``kinematics``."""
-        groups = tuple(dict.fromkeys(term.points() for term in self.point_terms))
-        ends = np.cumsum([0, *map(len, groups)]).tolist()
-        at = {group: slice(*ends[i : i + 2]) for i, group in enumerate(groups)}
-        return tuple(at[term.points()] for term in self.point_terms)
+        return PointKinematics(self.tree, sum(self._groups, ()))
 
     def value_grad_hess(
         self, q: Float[Array, " m"], goal: FrameGoal
@@ -425,14 +422,15 @@ class Objective:
         exact, except at the kinks of smooth-L1."""
         kinematics, joints = self.kinematics, self.hand.transmission.matrix
         motion = kinematics(all_joints(self.hand, q))
+        slices = [self._groups[term.points()] for term in self.point_terms]
         each = [
             term.expand(motion.points[at], kinematics.jacobian(motion, at), goal)
-            for term, at in zip(self.point_terms, self._slices, strict=True)
+            for term, at in zip(self.point_terms, slices, strict=True)
         ]
         rows, weighted = _gauss_newton(each, motion)
         # the kinematics adds to the Hessian along the gradient
         points, moves = (
-            np.concatenate([values[at] for at in self._slices])
+            np.concatenate([values[at] for at in slices])
             for values in (np.arange(len(motion.points)), kinematics.moves)
         )
         gradient = jnp.concatenate([one.gradient for one in each])
