@@ -108,8 +108,10 @@ def checked(request: RetargetRequest) -> RetargetRequest:
         request.operator.check(hand.spec.side)
     config = request.config
     check_method(config, hand)
-    if request.wrist_joints and hand.spec.wrist_joints:
+    if hand.spec.wrist_joints and request.wrist_joints:
         WristSolver(hand)
+    else:  # results of a hand without wrist joints do not depend on the choice
+        request = replace(request, wrist_joints=False)
     if isinstance(request.scale, float | int):
         replace(config.alignment, scale=float(request.scale))  # refuses a bad scale
     stamps_from_rate(0, request.rate, "--rate")  # refuses a bad rate
