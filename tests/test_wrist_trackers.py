@@ -205,6 +205,9 @@ def test_the_wrist_comes_from_the_tracker_while_it_is_fresh():
     assert source.health().state == "waiting"
     source.stop()
     assert [hands.running, wrist.running] == [False, False]
+    with pytest.raises(AttributeError):
+        CombinedSource(object(), wrist, {}).start(mailbox)
+    assert not wrist.running
 
 
 def test_a_message_may_be_the_pose_of_a_tracker():

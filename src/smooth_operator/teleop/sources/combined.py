@@ -68,7 +68,11 @@ class CombinedSource:
 
         mailbox.complete = complete
         self.wrist.start(wrists)
-        self.hands.start(mailbox)
+        try:
+            self.hands.start(mailbox)
+        except BaseException:
+            self.wrist.stop()
+            raise
 
     def stop(self) -> None:
         """Stops both sources."""
