@@ -26,14 +26,16 @@ def thumb_touches(name: str) -> str:
 def row(name: str, touches: str) -> str:
     """One line of the table."""
     hand = load_hand(name)
+    left = "mirrored" if "left" in known_hands()[name].mirrored else "published"
+    tilt = f"{round(palm_tilt_deg(hand))}°".replace("-", "−")
     cells = (
         f"`{name}`",
         len(hand.fingers),
         len(hand.actuated),
         len(hand.joint_names),
-        f"{round(palm_tilt_deg(hand))}°".replace("-", "−"),
+        "–" if hand.spec.gripper else tilt,
         touches,
-        "mirrored" if "left" in known_hands()[name].mirrored else "published",
+        "same" if hand.spec.gripper else left,
     )
     return f"| {' | '.join(map(str, cells))} |\n"
 

@@ -25,7 +25,7 @@ from smooth_operator.benchmark.cells import (
     fingerprint,
     select_methods,
 )
-from smooth_operator.benchmark.figures import Panel, Run, make_clip, view_basis
+from smooth_operator.benchmark.figures import Panel, Run, make_clip
 from smooth_operator.benchmark.quality import finger_metrics, measure_cell
 from smooth_operator.benchmark.ranking import Line, best, change_verdict, failures, overall
 from smooth_operator.benchmark.recordings import load_sources, parse_request, unique_names
@@ -39,6 +39,7 @@ from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
+from smooth_operator.reporting.hand_surface import view_basis
 from smooth_operator.reporting.report_page import Plots
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import MethodConfig

@@ -12,9 +12,9 @@ from smooth_operator.benchmark.contact_sheet import (
     from_thumb,
     pose_scores,
 )
-from smooth_operator.benchmark.figures import Panel, Run, robot_landmarks, view_basis
+from smooth_operator.benchmark.figures import Panel, Run, robot_landmarks
 from smooth_operator.cli.hand_shape import ModelShape
-from smooth_operator.reporting.hand_surface import Surface, landmark_surface, paint, rod
+from smooth_operator.reporting.hand_surface import Surface, landmark_surface, paint, rod, view_basis
 from smooth_operator.synthetic.gestures import FIST, FLAT, pinch_postures
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 

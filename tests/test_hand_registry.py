@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from compact_hands import GRIPPERS
 from real_hands import REAL, positions
 from trees import limited_poses
 
@@ -32,10 +33,14 @@ from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror,
 
 FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "ability_hand": (5, 6, 10),
+    "aero_hand_open": (5, 7, 16),
     "allegro_hand": (4, 16, 16),
     "allegro_v5": (4, 16, 16),
+    "amazing_hand": (4, 8, 12),
     "brainco_revo2": (5, 6, 11),
     "dexhand021": (5, 12, 19),
+    "fourier_hand": (5, 6, 11),
+    "franka_hand": (2, 1, 2),
     "inspire_ftp": (5, 6, 12),
     "inspire_hand": (5, 6, 12),
     "leap_hand": (4, 16, 16),
@@ -49,28 +54,37 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "omnihand": (5, 10, 16),
     "orca_v1": (5, 16, 16),
     "orca_v2": (5, 16, 16),
+    "robotiq_2f140": (2, 1, 4),
+    "robotiq_2f85": (2, 1, 4),
     "robotis_hx5": (5, 20, 20),
+    "ruka_v2": (5, 14, 18),
     "schunk_svh": (5, 9, 20),
     "shadow_dexee": (3, 12, 12),
     "shadow_hand": (5, 18, 22),
     "sharpa_wave": (5, 22, 22),
+    "so101": (2, 1, 1),
     "tesollo_dg5f": (5, 20, 20),
     "unitree_dex3": (3, 7, 7),
     "unitree_dex5": (5, 16, 20),
     "wuji_hand": (5, 20, 20),
 }
 NAMES = tuple(FOUND)
-HANDS = [(name, side) for name in NAMES for side in ("right", "left")]
+SHAPED = tuple(name for name in NAMES if name not in GRIPPERS)
+"""Hands that are shaped as a human's."""
+HANDS = [(name, side) for name in SHAPED for side in ("right", "left")]
 MIRRORED = (
     "allegro_v5",
+    "amazing_hand",
     "linker_l10",
     "linker_o7",
     "mimic_p050",
     "orca_v2",
+    "ruka_v2",
     "shadow_dexee",
     "wuji_hand",
 )
 ALIKE = {  # hands with a file for each side; how far their landmarks are from mirror images [mm]
+    "aero_hand_open": 0.01,
     "brainco_revo2": 2.0,
     "dexhand021": 0.3,
     "inspire_ftp": 0.01,
@@ -100,7 +114,8 @@ def human(side: str) -> np.ndarray:
 def test_the_names():
     assert hand_names() == NAMES
     assert all(entry.builtin for entry in known_hands().values())
-    assert tuple(n for n, entry in known_hands().items() if entry.mirrored == ("left",)) == MIRRORED
+    one_file = [n for n, entry in known_hands().items() if entry.mirrored == ("left",)]
+    assert one_file == sorted((*MIRRORED, *GRIPPERS))
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)
@@ -122,6 +137,20 @@ def test_every_hand(name, side):
     every = hand.full_configuration(limited_poses(np.random.default_rng(0), hand.limits, 100))
     assert (every >= hand.joint_limits[:, 0] - 1e-9).all()
     assert (every <= hand.joint_limits[:, 1] + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", GRIPPERS)
+def test_every_gripper(name):
+    """A millimetre-wide gap at most when it is closed; open, it takes a cup."""
+    hand = load_hand(name, "left")
+    assert hand.spec.gripper
+    assert not hand.spec.mirror
+    assert hand.spec.source
+    assert (len(hand.fingers), len(hand.actuated), len(hand.joint_names)) == FOUND[name]
+    tips = hand.tips(hand.full_configuration(np.linspace(*hand.limits[0], 200)[:, None]))
+    gaps = np.linalg.norm(tips[:, 0] - tips[:, 1], axis=-1)
+    assert gaps.min() < 0.006
+    assert gaps.max() > 0.075
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)

@@ -16,6 +16,7 @@ around the thumb, and for pairs of links that may overlap (``exclude``), as make
 from __future__ import annotations
 
 import argparse
+import re
 import tempfile
 import tomllib
 from collections import defaultdict
@@ -93,6 +94,18 @@ class CompactModel:
             guess = self._shapes(_without_shapes(hand))
             chosen = {body for body, name in self.names.items() if name.startswith(estimate)}
             self.capsules |= {body: guess[body] for body in chosen}
+
+    def replace_capsules(self, shapes: Mapping[str, Sequence[Sequence[float]]]) -> None:
+        """Takes the capsules of links from a recipe: both ends and the radius [m], in the frame of
+        the link."""
+        for body, name in self.names.items():
+            if name in shapes:
+                rows = np.array(shapes[name])
+                ends = rows[:, :6].reshape(-1, 2, 3)
+                self.capsules[body] = [
+                    Capsule(-1, body, pair, float(row[6]))
+                    for pair, row in zip(ends, rows, strict=True)
+                ]
 
     def _shapes(self, hand: Hand) -> defaultdict[int, list[Capsule]]:
         """Link -> its capsules."""
@@ -280,7 +293,8 @@ def compact(name: str, side: Side, recipe: Mapping[str, Any], checkout: Path, ou
         f"{recipe['title']}, {side} hand: {recipe['repository']} at {recipe['commit'][:12]}, "
         f"{file}, {recipe['licence']}"
     )
-    with _expanded(checkout / file, recipe.get("macro", "").format(side=side)) as path:
+    macro = recipe.get("macro", "").format(side=side)
+    with _expanded(checkout / file, macro, checkout) as path:
         add = Add(
             model=path,
             palm=next(iter(words("palm")), None),
@@ -289,6 +303,7 @@ def compact(name: str, side: Side, recipe: Mapping[str, Any], checkout: Path, ou
             finger=words("finger"),
             tip=words("tip"),
             couple=words("couple"),
+            gripper=recipe.get("gripper"),
         )
         with opened(path) as model:
             overrules = _overrules(add)
@@ -302,7 +317,10 @@ def compact(name: str, side: Side, recipe: Mapping[str, Any], checkout: Path, ou
                 print("note:", note)
             hand = load_hand_spec(found.spec)
             short = CompactModel(hand, words("estimate"))
+            short.replace_capsules(recipe.get("shapes", {}))
             spec = short.spec(output, source + recipe.get("remark", ""))
+            if "torque" in recipe:
+                spec = replace(spec, torque=recipe["torque"])
             if "neutral" in recipe:
                 own = {key.format(s=side[0], side=side): v for key, v in recipe["neutral"].items()}
                 spec = replace(spec, neutral={**spec.neutral, **own})
@@ -312,24 +330,35 @@ def compact(name: str, side: Side, recipe: Mapping[str, Any], checkout: Path, ou
 
 
 @contextmanager
-def _expanded(path: Path, macro: str) -> Iterator[Path]:
-    """The path, or that of a temporary URDF that a macro of a xacro file makes."""
-    if not macro:
+def _expanded(path: Path, macro: str, checkout: Path) -> Iterator[Path]:
+    """The path, or that of a temporary URDF that a xacro file, or a macro of it, makes."""
+    if path.suffix != ".xacro":
         yield path
         return
     import xacro
 
-    text = (
+    whole = (
         '<robot name="hand" xmlns:xacro="http://www.ros.org/wiki/xacro">'
         f'<xacro:include filename="{path}"/><link name="world"/><joint name="fix" type="fixed">'
         f'<parent link="world"/><child link="{macro}_base"/></joint>'
         f'<xacro:{macro} prefix=""/></robot>'
     )
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        whole = Path(folder) / "hand.urdf.xacro"
-        whole.write_text(text, encoding="utf-8")
+
+        def located(text: str) -> str:
+            """The text with copies of packages in place of those that ROS would find."""
+            return re.sub(r"\$\(find (\w+)\)", rf"{folder}/\1", text)
+
+        for package in (found.parent for found in checkout.rglob("package.xml")):
+            for file in sorted(package.rglob("*.xacro")):
+                copied = Path(folder) / package.name / file.relative_to(package)
+                copied.parent.mkdir(parents=True, exist_ok=True)
+                copied.write_text(located(file.read_text(encoding="utf-8")), encoding="utf-8")
+        main = Path(folder) / "hand.urdf.xacro"
+        text = whole if macro else located(path.read_text(encoding="utf-8"))
+        main.write_text(text, encoding="utf-8")
         urdf = Path(folder) / "hand.urdf"
-        urdf.write_text(xacro.process_file(str(whole)).toxml(), encoding="utf-8")
+        urdf.write_text(xacro.process_file(str(main)).toxml(), encoding="utf-8")
         yield urdf
 
 

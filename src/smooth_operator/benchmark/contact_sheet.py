@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import median_filter
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.benchmark.figures import Panel, make_panels, shortened, view_basis
+from smooth_operator.benchmark.figures import Panel, make_panels, shortened
 from smooth_operator.benchmark.suite import Finished
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
@@ -24,6 +24,7 @@ from smooth_operator.reporting.hand_surface import (
     Surface,
     landmark_surface,
     paint,
+    view_basis,
 )
 from smooth_operator.reporting.report_page import plot_name
 from smooth_operator.types import Side

@@ -33,6 +33,7 @@ from smooth_operator.reporting.drawing import (
     styled,
     write_figure,
 )
+from smooth_operator.reporting.hand_surface import view_basis
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.types import CommandTrajectory
 
@@ -139,30 +140,6 @@ def robot_bones(hand: Hand) -> list[tuple[int, int]]:
         chain = [WRIST, *(i for i in range(base, base + 4) if i in present)]
         bones += itertools.pairwise(chain)
     return bones
-
-
-def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Axes of the view in the palm frame, as rows right, up and towards the viewer: fingers up,
-    palm visible.
-
-    The thumb of a right hand is on the right, as when you look at your own palm, and that of a left
-    hand on the left.
-    """
-    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
-    bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
-    long = bases[1:]
-    up = np.mean(long, axis=0) - hand.wrist
-    across = bases[0] - bases[-1]
-    if hand.spec.side == "left":
-        across = -across
-    up = up / max(float(np.linalg.norm(up)), 1e-9)
-    right = across - up * (across @ up)
-    length = float(np.linalg.norm(right))
-    if length < 1e-6:  # finger bases in line with the wrist: any direction across will do
-        right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-        length = float(np.linalg.norm(right))
-    right /= length
-    return np.stack([right, up, np.cross(right, up)])
 
 
 SECONDS: Final = 8.0

@@ -8,11 +8,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.benchmark.figures import view_basis
 from smooth_operator.cli.common_options import Meshes
 from smooth_operator.cli.page import hand_to_draw
 from smooth_operator.hands.hand import Hand
-from smooth_operator.reporting.hand_surface import PALM_COLOR, Surface
+from smooth_operator.reporting.hand_surface import PALM_COLOR, Surface, view_basis
 from smooth_operator.teleop.pages.hand_view import HandView, coarser, finger_colors
 
 _FACES: Final = 4000  # maximum number of triangles of a body in a picture of a hand

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import BASES, FINGER_COLORS, LANDMARKS, NUM_LANDMARKS, WRIST
+from smooth_operator.landmarks import BASES, FINGER_COLORS, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
 
 PALM_COLOR: Final = (190, 194, 200)
 PAPER: Final = 255
@@ -34,6 +34,30 @@ class Surface(NamedTuple):
 
     triangles: Float[np.ndarray, "N 3 3"]
     colors: UInt8[np.ndarray, "N 3"]
+
+
+def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
+    """Axes of the view in the palm frame, as rows right, up and towards the viewer: fingers up,
+    palm visible.
+
+    The thumb of a right hand is on the right, as when you look at your own palm, and that of a left
+    hand on the left. The jaws of a gripper are on both sides of its middle.
+    """
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
+    long = bases if hand.spec.gripper else bases[1:]
+    up = np.mean(long, axis=0) - hand.wrist
+    across = bases[0] - bases[-1]
+    if hand.spec.side == "left":
+        across = -across
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    right = across - up * (across @ up)
+    length = float(np.linalg.norm(right))
+    if length < 1e-6:  # finger bases in line with the wrist: any direction across will do
+        right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        length = float(np.linalg.norm(right))
+    right /= length
+    return np.stack([right, up, np.cross(right, up)])
 
 
 class HandShape(Protocol):

@@ -155,16 +155,18 @@ def _draw_hand(
 def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
     """Draws the joint ranges as bars and the pose as marks."""
     rows, every = joint_rows(hand), hand.full_configuration(q)
+    units = [1e3 if joint.slide else np.rad2deg(1.0) for joint in hand.tree.joints]
     for i, (row, value) in enumerate(zip(rows, every, strict=True)):
-        low, high = np.rad2deg([row.low, row.high])
+        low, high = units[i] * np.array([row.low, row.high])
         axes.barh(
             i, high - low, left=low, height=0.62, color="#9ecae1" if row.actuated else "#dddddd"
         )
-        axes.plot(np.rad2deg(value), i, marker="|", color=_INK, markersize=8, markeredgewidth=1.6)
+        axes.plot(units[i] * value, i, marker="|", color=_INK, markersize=8, markeredgewidth=1.6)
     axes.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=6.5, color=_INK)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.tick_params(axis="x", labelsize=7, colors=_INK)
-    axes.set_xlabel("degrees; grey joints are coupled, | is the pose", fontsize=7, color=_INK)
+    unit = "degrees (slides: mm)" if any(j.slide for j in hand.tree.joints) else "degrees"
+    axes.set_xlabel(f"{unit}; grey: coupled; |: pose", fontsize=7, color=_INK)
     axes.axvline(0, color="#bbbbbb", linewidth=0.6, zorder=0)
     for name in ("top", "right", "left"):
         axes.spines[name].set_visible(False)

@@ -18,6 +18,7 @@ from smooth_operator import landmarks
 from smooth_operator.hands.capsules import hand_capsules
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.reporting.hand_surface import view_basis
 from smooth_operator.retargeting.palm import human_palm_axes
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ class HandView:
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """(3, 3) rows: right, up (distal) and toward a viewer who looks at the palm."""
+        if self.hand.spec.gripper:  # it has no palm to lay a human one on
+            return view_basis(self.hand)
         distal, radial, palmar = human_palm_axes(self.hand)
         # A viewer of the palm of a right hand has its thumb on the right.
         right = radial if self.hand.spec.side == "right" else -radial
