@@ -98,7 +98,6 @@ def test_a_built_in_hand_passes(name, side):
     assert {check.name for check in found.checks} == BASICS
     # their thumbs do not reach all fingers, e.g. Revo 2's not the little finger
     short = (
-        "aero_hand_open",
         "amazing_hand",
         "brainco_revo2",
         "fourier_hand",
@@ -107,7 +106,9 @@ def test_a_built_in_hand_passes(name, side):
         "linker_o6",
     )
     able = {"pinches"} if name in short else set()
-    assert {c.name for c in found.checks if c.verdict not in ("ok", "unjudged")} == able, found
+    other = {c.name for c in found.checks if c.verdict not in ("ok", "unjudged")}
+    jaws = {"flexion"} if name in GRIPPERS else set()  # jaws that stay parallel do not bend
+    assert other - jaws == able, found
 
 
 @pytest.mark.shared

@@ -261,10 +261,10 @@ def test_the_amazing_hand_is_a_right_hand_of_four_fingers(run, shared, tmp_path,
     status, out, err = run("hands", "add", str(shared / AMAZING), "--json")
     assert status == 0, err
     told = json.loads(out)
-    assert (told["name"], told["side"]) == ("amazing_hand", "right")
+    assert (told["name"], told["side"]) == ("my_amazing_hand", "right")
     assert [finger["name"] for finger in told["fingers"]] == ["thumb", "index", "middle", "ring"]
     assert min(finger["confidence"] for finger in told["fingers"]) > 0.8
-    hand = so.load_hand("amazing_hand", "right")
+    hand = so.load_hand("my_amazing_hand", "right")
     assert (len(hand.joint_names), len(hand.actuated)) == (12, 8)
     spans = np.degrees(np.ptp(hand.limits, axis=1))  # sideways and bending of each finger
     np.testing.assert_allclose(spans, [74.4, 108] * 4, atol=1.0)

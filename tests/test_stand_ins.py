@@ -59,7 +59,7 @@ def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name, tmp_path)
     truth = penetration_depths(real, real.full_configuration(q))
     ours = np.maximum(depths(pairs, ends_of(pairs, bare, q)).max(axis=-1), 0.0)
     deep, clear = truth > 0.008, truth == 0
-    assert deep.sum() > 15
+    assert deep.sum() > 10
     assert (ours[deep] > 0).mean() > 0.75
     if clear.sum() > 15:
         assert (ours[clear] < 0.006).mean() > 0.75

@@ -4,13 +4,15 @@
 
 ``compact_hands.toml`` has an entry for each hand: its repository, commit and licence, the model
 file of each side, and what the analysis of ``smooth-operator hands add`` has to be told. FOLDER is
-a checkout of that repository at that commit.
+a checkout of that repository at that commit. ``right_base`` and ``left_base`` give points of the
+palm for the bases of fingers.
 
 The model keeps link frames, joint limits, couplings and the maker's torques. Capsules replace the
 meshes: those with which the program fills meshes for its self-collision term, or estimates along
 the bones of links whose meshes are missing. An entry asks for estimates (``estimate``, beginnings
 of the names of links) where a capsule can't follow a mesh, such as that of a palm which is hollow
-around the thumb, and for pairs of links that may overlap (``exclude``), as makers' MJCFs do.
+around the thumb, or gives the capsules of a link itself (``shapes``). It also names pairs of links
+that may overlap (``exclude``), as makers' MJCFs do.
 """
 
 from __future__ import annotations
@@ -325,8 +327,15 @@ def compact(name: str, side: Side, recipe: Mapping[str, Any], checkout: Path, ou
                 own = {key.format(s=side[0], side=side): v for key, v in recipe["neutral"].items()}
                 spec = replace(spec, neutral={**spec.neutral, **own})
             spec.model.write_text(short.text(recipe["title"], words("exclude")), encoding="utf-8")
-    write_hand_spec(spec, output / f"{name}.{side}.toml")
     _compare(hand, load_hand_spec(spec))
+    for finger, base in recipe.get(f"{side}_base", {}).items():
+        moved = Point("palm", tuple(base))
+        fingers = tuple(
+            replace(one, points=(moved, *one.points[1:])) if one.name == finger else one
+            for one in spec.fingers
+        )
+        spec = replace(spec, fingers=fingers)
+    write_hand_spec(spec, output / f"{name}.{side}.toml")
 
 
 @contextmanager

@@ -188,7 +188,7 @@ def fits(table: ActuatorMap, hand: Hand) -> None:
     for share in (0.0, 0.3, 1.0):
         commands = within(table, share)
         back = bound.commands(bound.angles(bound.joints(commands)))
-        assert back == pytest.approx(commands, abs=1e-6)
+        assert back == pytest.approx(commands, abs=1e-4)
 
 
 def test_opening_moves_nothing_and_reads_where_the_hand_is(rig):
