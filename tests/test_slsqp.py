@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
+from smooth_operator.baselines.slsqp_method import SlsqpConfig, slsqp_minimise
 from smooth_operator.errors import ConfigError
 
 WIDE = np.tile([-3.0, 3.0], (4, 1))

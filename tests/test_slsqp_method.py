@@ -10,8 +10,8 @@ import pytest
 from smooth_operator import HandFrame, HandSpec, Retargeter, Status, method_config
 from smooth_operator.baselines import slsqp, slsqp_method
 from smooth_operator.baselines.ako import AkoTargets, PinchLayout
-from smooth_operator.baselines.slsqp import SlsqpConfig
 from smooth_operator.baselines.slsqp_method import (
+    SlsqpConfig,
     SlsqpMethod,
     SlsqpMethodConfig,
 )

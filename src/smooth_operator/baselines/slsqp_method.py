@@ -1,5 +1,9 @@
 """DexPilot, AKO, the keyvector method and its hybrid: SLSQP minimises an objective in each frame.
 
+SLSQP is sequential least-squares quadratic programming (Kraft 1988) within bounds, by SciPy. The
+published methods use at most 20 iterations. If the limit ends a frame, the result is not a minimum,
+and the next frame continues from it, so the limit acts as a filter.
+
 Preset ``published`` uses SLSQP alone, with the settings of the paper's authors. Preset ``fast``
 first makes Newton steps in the compiled program; SLSQP continues from their result, unless it is a
 minimum. The methods differ only in targets, penalties, weights and starting point.
@@ -11,7 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +25,6 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.baselines.ako import AkoObjectiveConfig, AkoTargets
 from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
 from smooth_operator.baselines.plain_targets import PlainTargets
-from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import (
@@ -48,6 +51,71 @@ from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import Targets
 from smooth_operator.settings import check_choice, check_numbers
 from smooth_operator.types import Status
+
+ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""Function from (m,) float64 to (1 + m,): the value, followed by the gradient."""
+
+
+@dataclass(frozen=True)
+class SlsqpConfig:
+    """Stopping conditions of SLSQP.
+
+    Attributes:
+        tolerance: smallest change of the objective in an iteration.
+        max_iterations: largest number of iterations per frame; each is a quadratic subproblem and
+            a line search with one or more evaluations.
+    """
+
+    tolerance: float = 1e-6
+    max_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("tolerance", "max_iterations"))
+
+
+class SlsqpResult(NamedTuple):
+    """Result of SLSQP.
+
+    Attributes:
+        x: (m,) the point, within the bounds.
+        value: objective at the point; NaN if it is not finite.
+        evaluations: number of evaluations of the objective.
+    """
+
+    x: Float[np.ndarray, " m"]
+    value: float
+    evaluations: int
+
+
+def slsqp_minimise(
+    objective: ValueAndGradient,
+    start: Float[np.ndarray, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    config: SlsqpConfig,
+) -> SlsqpResult:
+    """Minimises an objective within (m, 2) bounds, from a start that is clipped to them. The result
+    is the last point, as in published code."""
+    from scipy.optimize import minimize  # here, since the import takes half a second
+
+    low, high = limits[:, 0], limits[:, 1]
+
+    def evaluate(x: np.ndarray) -> tuple[float, np.ndarray]:
+        both = objective(x).astype(np.float64)
+        return float(both[0]), both[1:]
+
+    solution = minimize(
+        evaluate,
+        np.clip(np.asarray(start, np.float64), low, high),
+        jac=True,
+        method="SLSQP",
+        bounds=np.stack([low, high], axis=1),
+        tol=config.tolerance,
+        options={"maxiter": config.max_iterations},
+    )
+    x = np.clip(np.asarray(solution.x, np.float64), low, high)
+    value = float(solution.fun)
+    finite = math.isfinite(value) and bool(np.isfinite(x).all())
+    return SlsqpResult(x, value if finite else math.nan, solution.nfev)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from smooth_operator.baselines.slsqp import (
+from smooth_operator.baselines.slsqp_method import (
     SlsqpConfig,
     SlsqpResult,
     ValueAndGradient,

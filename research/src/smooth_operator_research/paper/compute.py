@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.baselines.slsqp import SlsqpConfig
-from smooth_operator.baselines.slsqp_method import DEXPILOT
+from smooth_operator.baselines.slsqp_method import DEXPILOT, SlsqpConfig
 from smooth_operator.errors import counted
 from smooth_operator.retargeting.sbr.method import SBR_PAPER
 from smooth_operator_research.paper.compared_solvers import Slsqp

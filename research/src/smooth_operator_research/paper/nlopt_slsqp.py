@@ -13,7 +13,7 @@ import nlopt
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.baselines.slsqp import SlsqpResult, ValueAndGradient
+from smooth_operator.baselines.slsqp_method import SlsqpResult, ValueAndGradient
 from smooth_operator.settings import check_numbers
 
 LINE_SEARCH_FAILED: Final = (

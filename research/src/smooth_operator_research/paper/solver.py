@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.baselines.slsqp import SlsqpConfig
-from smooth_operator.baselines.slsqp_method import DEXPILOT
+from smooth_operator.baselines.slsqp_method import DEXPILOT, SlsqpConfig
 from smooth_operator.errors import counted
 from smooth_operator.metrics.consistency import JOINTS_STILL
 from smooth_operator.reporting.drawing import INK

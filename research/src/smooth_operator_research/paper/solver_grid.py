@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
 
-from smooth_operator.baselines.slsqp import SlsqpConfig
+from smooth_operator.baselines.slsqp_method import SlsqpConfig
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
