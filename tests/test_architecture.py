@@ -104,7 +104,7 @@ is gone and still listed."""
 START = "retargeting.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 12_363
+CLOSURE_LINES = 12_323
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 MAX_LINES = 700

@@ -18,12 +18,11 @@ from smooth_operator import HandFrame, Retargeter, Status
 from smooth_operator.baselines.joint_angle import joint_map
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_files.vendor_model import on_model
-from smooth_operator.hands.finger_choice import select_fingers
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
-from smooth_operator.hands.spec import Coupling, JointMap
+from smooth_operator.hands.spec import Coupling, JointMap, select_fingers
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.request import parse_fingers
 from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment

@@ -13,10 +13,9 @@ from smooth_operator import Retargeter
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_files.vendor_model import on_model
-from smooth_operator.hands.finger_choice import select_fingers
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.hands.spec import Coupling, HandSpec
+from smooth_operator.hands.spec import Coupling, HandSpec, select_fingers
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView

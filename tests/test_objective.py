@@ -11,7 +11,6 @@ import pytest
 from trees import float64, limited_poses
 
 from smooth_operator import Hand, load_hand
-from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.retargeting.objective import FrameGoal
@@ -19,6 +18,7 @@ from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     LatchState,
     ObjectiveConfig,
+    PlainTargets,
 )
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import KeyvectorLayout, Targets

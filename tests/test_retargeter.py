@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from trees import limited_poses, pincer, random_rotations
 
-from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.teleop import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
@@ -33,7 +32,7 @@ from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.newton import NewtonConfig
-from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.retargeting.smooth import SmoothConfig
 from smooth_operator.synthetic import SyntheticOperator

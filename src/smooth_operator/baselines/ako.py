@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smooth_operator.baselines.plain_targets import StatelessTargets
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray
 from smooth_operator.landmarks import WRIST
@@ -27,7 +26,7 @@ from smooth_operator.retargeting.objective import (
     smooth_l1,
     smooth_l1_slopes,
 )
-from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, StatelessTargets
 from smooth_operator.retargeting.targets import Targets, VectorLayout, tips_of
 from smooth_operator.settings import check_numbers
 

@@ -43,7 +43,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
@@ -53,7 +52,7 @@ from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
 from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.palm import PalmAxes, human_palm_axes, unit_vectors
-from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 
 

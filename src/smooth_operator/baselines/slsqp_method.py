@@ -24,7 +24,6 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.baselines.ako import AkoObjectiveConfig, AkoTargets
 from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
-from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import (
@@ -46,6 +45,7 @@ from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     ObjectiveConfig,
+    PlainTargets,
 )
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import Targets

@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
-from smooth_operator.hands.finger_choice import select_fingers
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import MODELS
-from smooth_operator.hands.spec import FingerChoice, HandSpec
+from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.io.plain_files import is_file
 from smooth_operator.own_files import program_folder

@@ -17,14 +17,13 @@ import numpy as np
 from jax import nn
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.errors import ConfigError, HandModelError, brief, reason
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
 from smooth_operator.retargeting.objective import FrameGoal
-from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.types import as_side
 
