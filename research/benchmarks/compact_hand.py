@@ -185,6 +185,8 @@ class CompactModel:
         first, count = self.model.body_jntadr[link], self.model.body_jntnum[link]
         for joint in range(first, first + count) if link != self.palm else ():
             yield self._joint(joint, pad)
+        for joint_name in self.hand.spec.wrist_joints if link == self.palm else ():
+            yield self._wrist_joint(joint_name, pad)
         rows = self.capsules[link]
         for k, capsule in enumerate(rows):
             label = name if len(rows) == 1 else f"{name}_{'abcdefghijklmnopqrstuvwxyz'[k % 26]}"
@@ -221,6 +223,13 @@ class CompactModel:
             text += f' ref="{_numbers([ref], 6)}"'
         axis = _numbers(model.jnt_axis[joint], 6)
         return f'{text} axis="{axis}" range="{_numbers([low, high], 6)}"/>'
+
+    def _wrist_joint(self, name: str, pad: str) -> str:
+        """A joint between forearm and palm, which the compact model has on the palm itself."""
+        joint, turn = self.data.joint(name), self.data.xmat[self.palm].reshape(3, 3)
+        place = _numbers(self._local(self.palm, joint.xanchor), 7)
+        axis, ends = _numbers(joint.xaxis @ turn, 6), _numbers(self.model.joint(name).range, 6)
+        return f'{pad}  <joint name="{name}" pos="{place}" axis="{axis}" range="{ends}"/>'
 
     def spec(self, folder: Path, source: str) -> HandSpec:
         """The description with the compact model's names of bodies."""
