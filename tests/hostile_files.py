@@ -91,9 +91,9 @@ def operator(path: Path) -> None:
 
 
 def preset(path: Path) -> None:
-    from smooth_operator.retargeting.preset_files import chosen_config
+    from smooth_operator.retargeting.preset_files import method_config
 
-    chosen_config("sbr", str(path))
+    method_config("sbr", str(path))
 
 
 def geort(path: Path) -> None:

@@ -49,7 +49,7 @@ from smooth_operator.result_cache import content_digest
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.batching import BatchRetargeter
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.start import start_jax
 
 

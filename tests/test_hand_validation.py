@@ -36,7 +36,7 @@ from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks

@@ -15,7 +15,8 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.planning import make_request, plan
 from smooth_operator.retargeting import trajectory_retargeter as trajectory_module
 from smooth_operator.retargeting.aligned_recording import align_recording
-from smooth_operator.retargeting.presets import PRESETS, live_presets, method_config
+from smooth_operator.retargeting.preset_files import method_config
+from smooth_operator.retargeting.presets import PRESETS, live_presets
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.newton import NewtonConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig

@@ -14,7 +14,7 @@ from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model

@@ -9,7 +9,7 @@ import pytest
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.retargeting import LeastSquaresTerm
 from smooth_operator.retargeting.preset_files import (
-    chosen_config,
+    method_config,
     numeric_settings,
     read_preset_file,
     with_settings,
@@ -68,9 +68,9 @@ def test_a_preset_file_stands_for_a_preset(tmp_path):
     )
     assert read_preset_file(path).made == {"by": "ünïcode", "more": {"a": 1}}
     expected = with_settings(SBR_REALTIME, {"objective.pose_weight": 1e-5})
-    assert chosen_config("sbr", str(path)) == expected
+    assert method_config("sbr", str(path)) == expected
     with pytest.raises(ConfigError, match="method 'sbr', not of 'ako'"):
-        chosen_config("ako", str(path))
+        method_config("ako", str(path))
 
 
 @pytest.mark.parametrize(
@@ -96,9 +96,9 @@ def test_a_preset_file_that_is_none_is_refused(tmp_path, text, reason):
     path = tmp_path / "mine.toml"
     path.write_text(text)
     with pytest.raises((ConfigError, UnknownNameError), match=reason):
-        chosen_config("sbr", str(path))
+        method_config("sbr", str(path))
 
 
 def test_a_preset_file_that_is_not_there(tmp_path):
     with pytest.raises(ConfigError, match="no preset file"):
-        chosen_config("sbr", str(tmp_path / "none.toml"))
+        method_config("sbr", str(tmp_path / "none.toml"))

@@ -14,7 +14,8 @@ from smooth_operator import AlignmentConfig, Hand, HandFrame, Retargeter, Status
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.drawing import COLORS, colors_of
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
-from smooth_operator.retargeting.presets import PRESETS, method_config
+from smooth_operator.retargeting.preset_files import method_config
+from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.teleop.sinks.simulation import Simulation

@@ -39,12 +39,12 @@ from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
 from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import (
     PRESETS,
     default_preset,
     live_presets,
     loadable_presets,
-    method_config,
     method_names,
 )
 from smooth_operator.retargeting.registry import METHODS

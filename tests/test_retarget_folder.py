@@ -30,7 +30,7 @@ from smooth_operator.execution import checked
 from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.reporter import Reporter
 from smooth_operator.retargeting.batching import BLOCK, BatchRetargeter
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator

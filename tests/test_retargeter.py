@@ -26,7 +26,8 @@ from smooth_operator.retargeting.alignment import (
     palm_range,
     reference_landmarks,
 )
-from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
+from smooth_operator.retargeting.preset_files import method_config
+from smooth_operator.retargeting.presets import PRESETS, method_names
 from smooth_operator.retargeting.program import RetargetState
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter

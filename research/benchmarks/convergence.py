@@ -22,7 +22,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.batching import ticks_of
 from smooth_operator.retargeting.levenberg import STILL, damped_newton
 from smooth_operator.retargeting.objective import FrameGoal
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.program import align_frame
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.smooth import Smooth, SmoothConfig, frame_limits

@@ -24,8 +24,7 @@ from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.reporting.drawing import INK, styled, write_figure
-from smooth_operator.retargeting.preset_files import with_settings
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config, with_settings
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import HandRecording
 

@@ -35,7 +35,7 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import rated_if_unstamped
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.types import CommandTrajectory
 from smooth_operator_research.run_report import (
     BenchmarkError,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator_research.judging import pinch_front
 from smooth_operator_research.run_report import BenchmarkError
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "explanation" / "smooth.md"

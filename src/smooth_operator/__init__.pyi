@@ -19,7 +19,7 @@ from smooth_operator.landmarks import LANDMARKS as LANDMARKS
 from smooth_operator.metrics.assemble import assemble_trace as assemble_trace
 from smooth_operator.metrics.table import evaluate as evaluate
 from smooth_operator.retargeting.alignment import AlignmentConfig as AlignmentConfig
-from smooth_operator.retargeting.presets import method_config as method_config
+from smooth_operator.retargeting.preset_files import method_config as method_config
 from smooth_operator.retargeting.presets import method_names as method_names
 from smooth_operator.retargeting.retargeter import Retargeter as Retargeter
 from smooth_operator.synthetic.operator import SyntheticOperator as SyntheticOperator

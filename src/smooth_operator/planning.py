@@ -24,7 +24,7 @@ from smooth_operator.result_cache import content_digest, key_digest, outside_cod
 from smooth_operator.retargeting.aligned_recording import calibrate_scale
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.retargeting.method import MethodConfig
-from smooth_operator.retargeting.preset_files import chosen_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import default_preset
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.source_digest import code_digest
@@ -174,7 +174,7 @@ def make_request(
         hand=read_hand_spec(hand) if isinstance(hand, Path) else hand,
         method=method,
         preset=default_preset(method) if preset is None else preset,
-        config=chosen_config(method, preset),
+        config=method_config(method, preset),
         seed=seed,
         scale=scale,
         side=side,

@@ -22,7 +22,7 @@ from smooth_operator.plugins import is_target
 from smooth_operator.result_cache import code_digest, content_digest, key_digest
 from smooth_operator.result_cache import outside_code as outside_code
 from smooth_operator.retargeting.method import MethodConfig
-from smooth_operator.retargeting.preset_files import chosen_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import PRESETS, loadable_presets
 from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.types import Side
@@ -167,7 +167,7 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
         elif name == method:
             chosen[method, default] = presets[default]
         else:
-            chosen[method, preset] = chosen_config(method, preset)
+            chosen[method, preset] = method_config(method, preset)
     if not chosen:
         raise ConfigError(f"name at least one method: {', '.join(PRESETS)}, or all")
     return [Choice(method, preset, config) for (method, preset), config in chosen.items()]

@@ -86,7 +86,7 @@ be opened, 130 stopped by Ctrl-C or another signal."""
 def teleop(options: Teleop) -> None:
     """Runs a teleoperation, with keys in the terminal and progress on standard error."""
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.retargeting.preset_files import chosen_config
+    from smooth_operator.retargeting.preset_files import method_config
     from smooth_operator.retargeting.start import start_jax
     from smooth_operator.teleop.run import PageSettings, teleoperate
 
@@ -101,7 +101,7 @@ def teleop(options: Teleop) -> None:
         model=options.model,
         meshes=not options.no_meshes,
     )
-    start_jax(one_thread=chosen_config(options.method, options.preset).one_thread)
+    start_jax(one_thread=method_config(options.method, options.preset).one_thread)
     summary = teleoperate(
         options,
         page=None if options.no_view else page,

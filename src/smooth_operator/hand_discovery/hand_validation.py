@@ -41,7 +41,8 @@ from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.retargeting.method import MethodConfig, ObjectiveMethodConfig
-from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
+from smooth_operator.retargeting.preset_files import method_config
+from smooth_operator.retargeting.presets import PRESETS, method_names
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks

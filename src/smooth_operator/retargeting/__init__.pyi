@@ -5,7 +5,7 @@ from smooth_operator.retargeting.method import MethodOutput as MethodOutput
 from smooth_operator.retargeting.method import ObjectiveMethodConfig as ObjectiveMethodConfig
 from smooth_operator.retargeting.objective import FrameGoal as FrameGoal
 from smooth_operator.retargeting.objective import Objective as Objective
-from smooth_operator.retargeting.presets import method_config as method_config
+from smooth_operator.retargeting.preset_files import method_config as method_config
 from smooth_operator.retargeting.presets import method_names as method_names
 from smooth_operator.retargeting.retargeter import Retargeter as Retargeter
 from smooth_operator.retargeting.sbr.newton import NewtonConfig as NewtonConfig

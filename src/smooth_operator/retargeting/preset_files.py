@@ -26,7 +26,8 @@ from typing import Any, Final, TypeVar, cast
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.io.entries import read_entries
 from smooth_operator.retargeting.method import MethodConfig
-from smooth_operator.retargeting.presets import PRESETS, method_config
+from smooth_operator.retargeting.presets import PRESETS, preset_config
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
 
 C = TypeVar("C")
 
@@ -150,16 +151,22 @@ def read_preset_file(path: Path) -> PresetFile:
 SUFFIX: Final = ".toml"
 
 
-def chosen_config(method: str, preset: str | None = None) -> MethodConfig:
-    """``method_config``, which also accepts the path of a preset file (``.toml``).
+def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
+    """Configuration of a method, by the name of a preset or by a preset file.
+
+    Args:
+        method: name of the method, or ``package.module:attribute``: a configuration, its class, or
+            presets by name.
+        preset: name of a preset, such as ``published``; path of a preset file (``.toml``); for
+            geort also path of a trained model. None gives the method's default preset.
 
     Raises:
         UnknownNameError: there is no such method, preset or setting.
         ConfigError: the preset file is invalid or for another method, or the method of a plugin
             can't be loaded.
     """
-    if preset is None or not preset.endswith(SUFFIX) or preset in PRESETS[method]:
-        return method_config(method, preset)
+    if not isinstance(preset, str) or not preset.endswith(SUFFIX) or preset in PRESETS[method]:
+        return preset_config(method, preset)
     file = read_preset_file(Path(preset))
     if file.method != method:
         raise ConfigError(
@@ -170,4 +177,4 @@ def chosen_config(method: str, preset: str | None = None) -> MethodConfig:
         raise ConfigError(
             f"{preset}: its base must be the name of a preset, not {brief(file.base)}"
         )
-    return with_settings(method_config(method, file.base), file.settings)
+    return with_settings(preset_config(method, file.base), file.settings)

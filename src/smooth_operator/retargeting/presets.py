@@ -77,17 +77,14 @@ def default_preset(method: str) -> str:
     return next(iter(PRESETS[method]))
 
 
-def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
-    """Configuration of a method by preset name; None gives the method's default preset.
+def preset_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
+    """Configuration of a method by the name of a preset; None gives the method's default preset.
 
-    Instead of a preset name, geort accepts the path of a trained model. ``chosen_config``
-    (``smooth_operator.retargeting.preset_files``) also accepts preset files. ``published`` is a
-    preset of keyvector, hybrid, dexpilot and ako; for sbr it means ``paper``.
-
-    The method may be ``package.module:attribute``: a configuration, its class, or presets by name.
+    ``published`` is a preset of keyvector, hybrid, dexpilot and ako; for sbr it means ``paper``.
+    geort also accepts the path of a trained model, and ``method_config`` accepts preset files.
 
     Raises:
-        UnknownNameError: if there is no such method or preset.
+        UnknownNameError: there is no such method or preset.
         ConfigError: the method of a plugin can't be loaded.
     """
     for name in (method, preset):

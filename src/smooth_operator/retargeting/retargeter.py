@@ -27,7 +27,7 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
-from smooth_operator.retargeting.presets import default_preset, method_config
+from smooth_operator.retargeting.presets import default_preset, preset_config
 from smooth_operator.retargeting.program import (
     FrameState,
     Program,
@@ -101,7 +101,7 @@ class Retargeter:
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         if config is None:
-            self.config: MethodConfig = method_config(method, preset)
+            self.config: MethodConfig = preset_config(method, preset)
             self._named = f"method={method!r}, preset={preset or default_preset(method)!r}"
         else:
             self.config = config

@@ -32,7 +32,7 @@ from smooth_operator.planning import (
 )
 from smooth_operator.reporter import Reporter
 from smooth_operator.retargeting.method import MethodConfig
-from smooth_operator.retargeting.preset_files import chosen_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import default_preset, method_names
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.signals import Ending, ended_by_signals
@@ -443,7 +443,7 @@ def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
     if name not in method_names():  # package.module:attribute
         name, preset = text, ""
     preset = preset or default_preset(name)
-    return replace(request, method=name, preset=preset, config=chosen_config(name, preset))
+    return replace(request, method=name, preset=preset, config=method_config(name, preset))
 
 
 @contextlib.contextmanager

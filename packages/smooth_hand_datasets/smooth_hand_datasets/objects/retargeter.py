@@ -37,7 +37,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import Clip
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.planning import Plan
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.retargeting.trajectory_solver import FrameBlocks

@@ -15,7 +15,7 @@ from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.retargeting.known_gaps import known_gaps
-from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.simulation.scenes.task_scenes import scene_for

@@ -12,7 +12,7 @@ from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.planning import RetargetRequest, resolve_config
 from smooth_operator.retargeting.method import MethodConfig
-from smooth_operator.retargeting.preset_files import chosen_config
+from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import default_preset
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -123,7 +123,7 @@ class MethodSwitcher:
             self._changed.notify_all()
 
     def _settled(self, method: str, preset: str | None) -> DriverSpec:
-        base = chosen_config(method, preset)
+        base = method_config(method, preset)
         preset = preset or default_preset(method)
         request = replace(self._begun_with, method=method, preset=preset, config=base)
         configs = {
