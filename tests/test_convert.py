@@ -410,11 +410,10 @@ def test_dataset_read_with_pyarrow_alone(tmp_path):
         "observation.state": ("float", 63),
         "action": ("float", 3),
         "stamp": ("double", None),
-        "landmarks": ("double", 63),
-        "landmarks_valid": ("bool", 21),
-        "left_hand": ("bool", None),
-        "metacarpals": ("double", 12),
-        "orientations": ("double", 84),
+        "right_landmarks": ("double", 63),
+        "right_landmarks_valid": ("bool", 21),
+        "right_metacarpals": ("double", 12),
+        "right_orientations": ("double", 84),
         "joint_positions": ("double", 3),
         "command_stamp": ("double", None),
         "status": ("int64", None),
@@ -512,16 +511,8 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     expected = replace(value, config=None, name="episode_000000")
     recording = replace(expected.recording, name="episode_000000", meta={})
     assert_same(replace(expected, recording=recording), back)
-    rewrite(data, lambda t: t.drop_columns(["left_hand"]))
-    assert read_episode(root, side="left").notes == ()
-    with pytest.raises(RecordingError, match="use --side left"):
-        read_episode(root)
-    (tmp_path / "right").mkdir()
-    root = write(tmp_path / "right", episode(side="right"), "lerobot")
-    file = root / "meta/episodes/chunk-000/file-000.parquet"
-    pq.write_table(pq.read_table(file).drop_columns(["smooth_operator"]), file)
-    rewrite(root / "data/chunk-000/file-000.parquet", lambda t: t.drop_columns(["left_hand"]))
-    assert "episode 0, does not state the side" in read_episode(root).notes[0]
+    with pytest.raises(RecordingError, match="a left hand, but side 'right' was requested"):
+        read_episode(root, side="right")
 
 
 def test_a_dataset_of_another_tool_is_checked(tmp_path):
@@ -947,16 +938,18 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
         (DATA, lambda p: rewrite(p, lambda t: t.slice(5)), "holds 35 frames of episode 0"),
         (
             DATA,
-            lambda p: rewrite(p, lambda t: t.drop_columns(["landmarks_valid"])),
-            "lacks the column 'landmarks_valid'",
+            lambda p: rewrite(p, lambda t: t.drop_columns(["right_landmarks_valid"])),
+            "lacks the column 'right_landmarks_valid'",
         ),
         (
             DATA,
             lambda p: rewrite(
                 p,
-                lambda t: t.set_column(t.column_names.index("landmarks"), "landmarks", t["stamp"]),
+                lambda t: t.set_column(
+                    t.column_names.index("right_landmarks"), "right_landmarks", t["stamp"]
+                ),
             ),
-            "the column 'landmarks' must hold 63 numbers per row, not double",
+            "the column 'right_landmarks' must hold 63 numbers per row, not double",
         ),
         (
             DATA,

@@ -24,6 +24,7 @@ RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
 STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
 DEVICES = PROJECT / "packages" / "smooth_operator_devices" / "smooth_operator_devices"
 OTHER_NAMES = {
+    "smooth_operator.json",  # a file of data sets
     "smooth_operator.method",
     "smooth_operator.origin",  # metadata records of the log
     "smooth_operator.sources",

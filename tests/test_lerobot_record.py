@@ -67,6 +67,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "teleop.address": ADDRESS,
         "teleop.wrist": "quaternion",
         "teleop.timeout_s": 120,
+        "teleop.human": "true",
         "dataset.repo_id": "test/hand",
         "dataset.root": folder / "dataset",
         "dataset.num_episodes": EPISODES,
@@ -111,11 +112,25 @@ def load(root: Path, name: str = "test/hand") -> Any:
     return LeRobotDataset(name, root=root)
 
 
+def dataset_to_policy_features(features: Any) -> Any:
+    """The inputs and outputs that a policy takes by default, as LeRobot's own function says."""
+    from lerobot.utils import feature_utils
+
+    return feature_utils.dataset_to_policy_features(features)
+
+
 def table(dataset: Any, column: str) -> np.ndarray:
     return np.asarray(dataset.hf_dataset.with_format("numpy")[:][column])
 
 
 ARM = [f"arm_joint{number}.pos" for number in range(1, 8)]
+HUMAN = {
+    "stamp": ("float64", (1,)),
+    "right_landmarks": ("float64", (63,)),
+    "right_landmarks_valid": ("bool", (21,)),
+    "right_human_wrist": ("float64", (7,)),
+    "right_human_wrist_valid": ("bool", (1,)),
+}
 POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 
 
@@ -128,7 +143,7 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded):
     assert dataset.fps == FPS
     assert dataset.meta.robot_type == "smooth_hand"
     indices = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
-    assert set(dataset.features) == names.keys() | indices
+    assert set(dataset.features) == names.keys() | indices | set(HUMAN)
     for name, keys in names.items():
         feature = dataset.features[name]
         assert feature["dtype"] == "float32"
@@ -216,3 +231,33 @@ def test_a_log_becomes_a_dataset_with_the_same_keys(recorded):
     assert np.isfinite(state[len(state) // 2 :]).all()
     assert len(converted) == len(take.recording)
     assert set(converted[len(converted) // 2]) >= {"action", "observation.state", "task"}
+
+
+def test_the_human_hand_is_kept_and_drives_another_hand(recorded):
+    """The hand of each frame is one that the tracker saw; from it come the actions of LEAP."""
+    dataset, take = load(recorded / "dataset"), read_log(recorded / "take.mcap")
+    for name, (dtype, shape) in HUMAN.items():
+        feature = dataset.features[name]
+        assert (feature["dtype"], tuple(feature["shape"])) == (dtype, shape)
+        assert np.isfinite(dataset.meta.stats[name]["mean"]).all()
+    assert not set(HUMAN) & set(dataset_to_policy_features(dataset.features))
+    valid = table(dataset, "right_landmarks_valid").all(axis=1)
+    assert valid.mean() > 0.9
+    seen = take.recording.landmarks.reshape(len(take.recording), -1)
+    stored = table(dataset, "right_landmarks")[valid]
+    assert np.array([np.abs(seen - row).max(axis=1).min() for row in stored]).max() < 1e-7
+    assert table(dataset, "right_human_wrist_valid").mean() > 0.9
+
+    command = f"retarget --dataset {recorded / 'dataset'} --hand leap_hand --method joint_angle"
+    assert main([*command.split(), "--output", str(recorded / "leap"), "--quiet"]) == 0
+    made = load(recorded / "leap", "test/leap")
+    joints = [f"{name}.pos" for name in load_hand("leap_hand").actuated_names]
+    assert list(made.features["action"]["names"]) == joints + POSE
+    assert list(made.features["observation.state"]["names"]) == joints + ARM + POSE
+    assert (len(made), made.num_episodes) == (len(dataset), EPISODES)
+    assert made[0]["task"] == TASK
+    action = table(made, "action")
+    np.testing.assert_array_equal(action[:, -7:], table(dataset, "action")[:, -7:])
+    assert np.ptp(action[:, : len(joints)], axis=0).max() > 0.3
+    np.testing.assert_allclose(made.meta.stats["action"]["max"], action.max(axis=0), atol=1e-5)
+    np.testing.assert_array_equal(table(made, "right_landmarks"), table(dataset, "right_landmarks"))

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -381,3 +381,64 @@ class Publishing:
         self.over.set()
         self.thread.join()
         self.sink.close()
+
+
+class Recorded:
+    """What ``lerobot-record`` does with LeRobot's class of data sets."""
+
+    resume = None
+
+    @classmethod
+    def create(cls, repo_id: str, fps: int, features: dict[str, Any]) -> "Recorded":
+        made = cls()
+        made.every, made.frames = features, []
+        return made
+
+    @property
+    def features(self) -> dict[str, Any]:
+        return self.every
+
+    def add_frame(self, frame: dict[str, Any]) -> None:
+        assert frame.keys() == self.every.keys()
+        for name, value in frame.items():
+            feature = self.every[name]
+            assert (str(value.dtype), value.shape) == (feature["dtype"], feature["shape"]), name
+        self.frames.append(frame)
+
+
+def test_the_human_hand_is_stored_beside_the_robot(session, monkeypatch):
+    recorder = ModuleType("lerobot.scripts.lerobot_record")
+    recorder.LeRobotDataset = Recorded  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="this is another program"):
+        session(joints=JOINTS, human=True)
+    monkeypatch.setitem(sys.modules, recorder.__name__, recorder)
+    now = session(joints=JOINTS, human=True)
+    robot = {"action": {"dtype": "float32", "shape": (2,), "names": [*JOINTS.values()]}}
+    data = recorder.LeRobotDataset.create("me/hand", 30, features=robot)
+    assert data.features == robot  # what --resume compares
+    now.device.connect()
+
+    def step(**human: Any) -> dict[str, Any]:
+        now.clock.now += 0.03
+        now.send(**human)
+        action = now.device.get_action()
+        data.add_frame({"action": np.array([*action.values()], np.float32)})
+        return dict(data.frames[-1])
+
+    points = np.arange(63.0).reshape(21, 3) / 1000
+    pose = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0]
+    first = step(landmarks=points.tolist(), operator_wrist={"pose": pose, "world": "room"})
+    np.testing.assert_array_equal(first["right_landmarks"], points.ravel())
+    assert first["right_landmarks_valid"].all()
+    assert first["right_human_wrist"].tolist() == pose
+    assert first["stamp"] == now.clock.now
+    lost = [*(points + 1.0).tolist()[:20], None]
+    second = step(landmarks=lost, operator_wrist={"pose": None, "world": "room"})
+    np.testing.assert_array_equal(second["right_landmarks"].reshape(21, 3)[:20], points[:20] + 1.0)
+    np.testing.assert_array_equal(second["right_landmarks"].reshape(21, 3)[20], points[20])
+    assert second["right_landmarks_valid"].tolist() == [True] * 20 + [False]
+    assert second["right_human_wrist"].tolist() == pose
+    assert not second["right_human_wrist_valid"]
+    third = step()  # without a hand
+    assert not third["right_landmarks_valid"].any()
+    assert [frame["stamp"][0] for frame in data.frames] == pytest.approx([100.03, 100.06, 100.09])

@@ -286,7 +286,8 @@ def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path):
     assert messages[0]["wrist"] == {"pose": POSE, "engaged": False, "valid": False, "world": "base"}
     assert messages[0]["operator_wrist"] == {"pose": wrist_at(0).tolist(), "world": "room"}
     assert messages[1]["operator_wrist"] == {"pose": None, "world": "room"}
-    assert "operator_wrist" not in messages[2]
+    assert messages[0]["landmarks"] == sent[0].arrival.frame.landmarks.tolist()
+    assert not {"operator_wrist", "landmarks"} & messages[2].keys()
     bare = command_message(make_tick(hand), 0.2)
     assert "wrist" not in bare
     assert "operator_wrist" not in bare

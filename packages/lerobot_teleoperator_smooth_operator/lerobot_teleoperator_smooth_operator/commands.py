@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 FORMAT = 1
 """Version of the messages that this plug-in reads."""
 
@@ -32,6 +34,9 @@ class Command:
         mode: mode of the loop: ``tracking``, ``holding``, ``paused``, ``stopped``, ...
         valid_for_s: time for which the command is valid [s].
         sent: time at which it was sent, estimated in terms of this process's clock [s].
+        landmarks: (21, 3) the human hand that it was computed from [m], NaN where a landmark was
+            lost; None without a hand.
+        operator_wrist: (7,) the human wrist: x y z [m], quaternion w x y z; None if it is unknown.
     """
 
     names: tuple[str, ...]
@@ -40,6 +45,8 @@ class Command:
     mode: str
     valid_for_s: float
     sent: float
+    landmarks: np.ndarray | None = None
+    operator_wrist: tuple[float, ...] | None = None
 
 
 class _Lateness:
@@ -154,6 +161,7 @@ class Newest:
             positions += tuple(map(float, message["arm"]["positions"]))
         if len(names) != len(positions) or not all(map(math.isfinite, positions)):
             raise ValueError(f"{len(names)} joints do not match the positions {positions}")
+        operator = message.get("operator_wrist") or {}
         arrived = self._clock()
         lateness = self._lateness.setdefault(side, _Lateness()).of(float(message["time"]), arrived)
         return Command(
@@ -163,7 +171,15 @@ class Newest:
             str(message["mode"]),
             float(message["valid_for_s"]),
             arrived - lateness,
+            _landmarks(message.get("landmarks")),
+            _wrist(operator if operator.get("pose") else None),
         )
+
+
+def _landmarks(message: Any) -> np.ndarray | None:
+    if message is None:
+        return None
+    return np.array([[math.nan] * 3 if point is None else point for point in message], np.float64)
 
 
 def _wrist(message: Any) -> tuple[float, ...] | None:

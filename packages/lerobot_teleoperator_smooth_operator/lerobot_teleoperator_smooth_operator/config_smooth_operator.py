@@ -35,6 +35,7 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             process; empty to subscribe to ``address``.
         hand: robot hand, if the loop runs in this process.
         method: retargeting method, if the loop runs in this process; empty for the default.
+        human: True to make ``lerobot-record`` store the human hands too: landmarks, wrist, time.
     """
 
     address: str = "tcp://127.0.0.1:5556"
@@ -51,3 +52,4 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     source: str = ""
     hand: str = "mimic_p050"
     method: str = ""
+    human: bool = False

@@ -14,6 +14,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_teleoperator_smooth_operator.commands import Command, Newest
 from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
 from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
+from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys
@@ -140,6 +141,10 @@ class SmoothOperator(Teleoperator):
         self._feed: Feed | None = None
         self._fresh_at: dict[str, float] = {}
         self._warned = False
+        self._human: HumanHands | None = None
+        if config.human:
+            self._human = HumanHands([hand.side for hand in self._hands])
+            self._human.keep()
 
     @property
     def action_features(self) -> dict[str, type]:
@@ -240,6 +245,8 @@ class SmoothOperator(Teleoperator):
             else:
                 self._fresh_at[hand.side] = now
                 hand.follow(command, now)
+            if self._human is not None:
+                self._human.update(hand.side, None if why else command, now)
             silent = now - self._fresh_at.get(hand.side, -math.inf)
             values = hand.action()
             if values is None or silent > self.config.hold_s:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -44,17 +44,23 @@ Examples:
   smooth-operator retarget landmarks.npy --rate 60 --side left --output out.npz
   smooth-operator retarget glove.npz --method sbr --preset paper --json --output out.npz
   smooth-operator retarget recordings/ --workers 8 --output commands/
+  smooth-operator retarget --dataset fingers --hand leap_hand --output fingers-leap
   smooth-operator retarget /nfs/recordings --cluster auto --output /nfs/commands
 """
 
-    rare: ClassVar[frozenset[str]] = RARE | {"wrist_joints"}
+    rare: ClassVar[frozenset[str]] = RARE | {"wrist_joints", "videos"}
 
-    recording: Annotated[Positional[Path], arg(metavar="RECORDING|FOLDER")]
+    recording: Annotated[Positional[Path | None], arg(metavar="RECORDING|FOLDER")] = None
     """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log; or a
-    folder of such files."""
+    folder of such files. Required without --dataset."""
+
+    dataset: Annotated[str | None, arg(metavar="REPO|FOLDER")] = None
+    """LeRobot data set with human hands, for which to derive the actions of another robot hand
+    (docs/how-to/lerobot.md): its folder, or its name in LeRobot's folder of data sets."""
 
     output: Annotated[Path, arg(metavar="OUT.npz|FOLDER")]
-    """File to write, or, if the input is a folder, folder for the results; created if missing."""
+    """File to write, or, if the input is a folder or data set, folder for the results; created if
+    missing."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording."""
@@ -65,6 +71,9 @@ Examples:
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
+
+    videos: Literal["link", "copy"] = "link"
+    """With --dataset: link the videos of the data set with hard links, or copy them."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frame rate of recordings without timestamps [Hz]."""
@@ -97,8 +106,13 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.types import Status
     from smooth_operator.wrist_following import add_wrist_commands
 
+    if options.dataset is not None:
+        retarget_lerobot(options, options.dataset)
+        return
+    if options.recording is None:
+        raise ConfigError("name a RECORDING or a FOLDER of recordings, or give --dataset")
     if options.recording.is_dir():
-        retarget_folder(options)
+        retarget_folder(options, options.recording)
         return
     for name in ("workers", "cluster"):
         if getattr(options, name) is not None:
@@ -156,7 +170,46 @@ def retarget(options: Retarget) -> None:
     print_summary(title, todo.method, metrics, [f"{look} all figures"])
 
 
-def retarget_folder(options: Retarget) -> None:
+def retarget_lerobot(options: Retarget, name: str) -> None:
+    """Derives the actions of another robot hand for a LeRobot data set.
+
+    Raises:
+        SmoothOperatorError: the data set can't be retargeted.
+        KeyboardInterrupt: the run was stopped; finished data files are kept.
+    """
+    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.outputs import folder_for, stopped
+    from smooth_operator.cli.session import requested
+    from smooth_operator.datasets.another_hand import find_dataset, retarget_dataset
+    from smooth_operator.execution import checked
+    from smooth_operator.io.jsonable import to_json
+    from smooth_operator.retargeting.start import start_jax
+
+    unused = ("recording", "frames", "rate", "layout", "workers", "cluster")
+    for option in unused:
+        if getattr(options, option) is not None:
+            raise ConfigError(f"{option} can't be used with --dataset; leave it out")
+    if options.output.exists():
+        raise OutputError(
+            f"can't write {str(options.output)!r}: it already exists; choose another name, or "
+            "remove it first"
+        )
+    source, progress = find_dataset(name), Progressing(options.quiet)
+    request = requested(options, side=options.side, wrist_joints=options.wrist_joints != "off")
+    start_jax(one_thread=False)
+    try:
+        with folder_for(options.output.resolve().parent):
+            provenance = retarget_dataset(
+                source, options.output, checked(request), videos=options.videos, reporter=progress
+            )
+    except KeyboardInterrupt:
+        raise stopped(options.output) from None
+    progress.note(f"wrote {options.output}")
+    if options.json:
+        print(to_json(provenance))
+
+
+def retarget_folder(options: Retarget, folder: Path) -> None:
     """Retargets the recordings of a folder that are not done yet.
 
     Raises:
@@ -168,7 +221,7 @@ def retarget_folder(options: Retarget) -> None:
     from smooth_operator.datasets.request import MirrorRequest
     from smooth_operator.formats.registry import file_kind, is_dataset
 
-    folder, output = options.recording, options.output
+    output = options.output
     if is_dataset(folder):
         file_kind(folder)  # raises an error that names the command for a data set
     if output.suffix == ".npz" and not output.is_dir():

@@ -16,7 +16,7 @@ from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.quality import Tracks, quality_tracks
 from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
-from smooth_operator.execution import answers, checked
+from smooth_operator.execution import answers, built_for, checked, execute
 from smooth_operator.formats.clip import SIDES, Clip, Frame, ReadingOptions, in_frame, with_side
 from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.hands.registry import default_side
@@ -93,6 +93,8 @@ class Recipe:
         device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
         mano: as in ``ReadingOptions``.
         objects: as in ``ReadingOptions``.
+        one_by_one: retarget one recording after the other, with the commands that ``retarget``
+            computes for a file; many together give slightly different ones.
 
     Raises:
         ConfigError: ``with_objects`` is set, but the configuration solves frame by frame or
@@ -106,6 +108,7 @@ class Recipe:
     device: Literal["cpu", "gpu"] = "cpu"
     mano: Path | None = None
     objects: Path | None = None
+    one_by_one: bool = False
 
     @classmethod
     def of(cls, request: DatasetRequest, resolved: RetargetRequest | None = None) -> Recipe:
@@ -155,6 +158,7 @@ class Recipe:
         parts = [code, request, self.frame]
         parts += ["with objects"] if self.with_objects else []
         parts += ["gpu"] if self.device == "gpu" else []
+        parts += ["one by one"] if self.one_by_one else []
         return key_digest([*parts, [(m.name, content_digest(m)) for m in models]])
 
     @functools.cached_property
@@ -302,7 +306,12 @@ def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOpe
     recordings = [work.plan.recording for work in group]
     first = group[0].plan
     try:
-        results = answers([work.plan for work in group], keep=keep)
+        plans = [work.plan for work in group]
+        if recipe.one_by_one:
+            outcomes = [execute(each, built_for(each)) for each in plans]
+            results = [(each.commands, each.tracking_loss) for each in outcomes]
+        else:
+            results = answers(plans, keep=keep)
         commands, losses = [each for each, _ in results], [loss for _, loss in results]
         alignment = first.config.alignment
         tracks = quality_tracks(recordings, commands, losses, first.hand, alignment)

@@ -66,7 +66,7 @@ _PARQUET: Final = (
 )
 _JSON_ROBOT: Final = re.compile(rb'"(states|actions)"\s*:\s*\{')
 _BODIES: Final = {72: "SMPL", 156: "SMPL-H", 165: "SMPL-X"}
-_OWN_FEATURES: Final = frozenset(("landmarks", "joint_positions"))
+_OWN_FEATURES: Final = frozenset(("right_landmarks", "left_landmarks", "joint_positions"))
 _LEVELS: Final = 4  # from a file of a LeRobot data set up to its folder
 
 

@@ -13,8 +13,7 @@ inputs and outputs of a policy. ``SIDE`` is ``right`` or ``left``.
 ``SIDE_status``             int64          ``Status`` of the command; -1: the clip lacks the hand
 ``SIDE_confidence``         float32        confidence of the tracker, 0 to 1; -1 if unknown
 ``SIDE_wrist_valid``        bool           whether the robot's wrist was known
-``SIDE_human_wrist``        float32 (7,)   pose of the human wrist
-``SIDE_human_wrist_valid``  bool           whether it was known
+``SIDE_landmarks``, …                      the human hand; see ``episode_files.lerobot.human``
 ``camera``                  float32 (7,)   pose of the camera
 ``camera_valid``            bool           whether it was known
 ``objects``                 float32 (7k,)  poses of k objects
@@ -31,7 +30,7 @@ frames.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +39,7 @@ from smooth_operator import poses
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import clip_valid
 from smooth_operator.datasets.writers.registry import WritingOptions
+from smooth_operator.episode_files.lerobot.human import human_columns, human_layout
 from smooth_operator.episode_files.lerobot.schema import (
     POSE_NAMES,
     Layout,
@@ -48,8 +48,8 @@ from smooth_operator.episode_files.lerobot.schema import (
     typed,
 )
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.clip import SIDES
-from smooth_operator.types import Side
+from smooth_operator.formats.clip import SIDES, Clip
+from smooth_operator.types import HandRecording, Side
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class RobotLayout:
         """The columns, without indices and video."""
         state: list[str] = []
         for side, joints in self.joints.items():
-            state += joint_keys([_sided(joint, side) for joint in joints])
+            state += joint_keys([sided(joint, side) for joint in joints])
             if self.wrist:
                 state += [f"{side}_{key}" for key in pose_keys()]
         layout: Layout = {"observation.state": tuple(state), "action": tuple(state), "stamp": None}
@@ -135,8 +135,7 @@ class RobotLayout:
             layout |= {
                 f"{side}_{name}": None for name in names if self.wrist or name != "wrist_valid"
             }
-            if self.wrist:
-                layout |= {f"{side}_human_wrist": POSE_NAMES, f"{side}_human_wrist_valid": None}
+            layout |= human_layout(side, ("human_wrist",) if self.wrist else ())
         if self.camera:
             layout |= {"camera": POSE_NAMES, "camera_valid": None}
         if self.objects:
@@ -164,13 +163,11 @@ class RobotLayout:
             columns[f"{side}_confidence"] = np.broadcast_to(
                 np.where(np.isfinite(sure), sure, -1.0), (count,)
             )
+            columns |= self._human(human, side)
             if self.wrist:
                 wrist = clip.T_world_wrist.get(side) if there else None
                 held, columns[f"{side}_wrist_valid"] = _poses(wrist, count)
                 state.append(held)
-                hand = human.hands.get(side)
-                wrist_poses = _poses(None if hand is None else hand.T_world_wrist, count)
-                columns[f"{side}_human_wrist"], columns[f"{side}_human_wrist_valid"] = wrist_poses
         columns["observation.state"] = flat = np.concatenate(state, axis=1)
         # What a hand does next; the last frame stays where it is.
         columns["action"] = np.concatenate([flat[1:], flat[-1:]])
@@ -186,6 +183,19 @@ class RobotLayout:
             columns["objects_valid"] = np.stack([valid for _, valid in tracks], axis=1)
         return typed(columns, self.layout())
 
+    def _human(self, clip: Clip, side: Side) -> dict[str, np.ndarray]:
+        """The columns of the human hand; zeros that are not valid if the clip lacks it."""
+        count, hand = len(clip), clip.hands.get(side)
+        if hand is None:
+            nowhere = np.full((count, 21, 3), np.nan)
+            hand = HandRecording(nowhere, clip.stamps, side)
+        points = np.stack([_held(track) for track in hand.landmarks.swapaxes(0, 1)], axis=1)
+        columns = human_columns(replace(hand, landmarks=points))
+        if self.wrist:
+            held, known = _poses(hand.T_world_wrist, count)
+            columns |= {f"{side}_human_wrist": held, f"{side}_human_wrist_valid": known}
+        return columns
+
 
 def _has_wrist(clip: RobotClip) -> bool:
     return any(
@@ -195,7 +205,8 @@ def _has_wrist(clip: RobotClip) -> bool:
     )
 
 
-def _sided(joint: str, side: Side) -> str:
+def sided(joint: str, side: Side) -> str:
+    """Name of a joint that begins with the side."""
     return joint if joint.lower().startswith(f"{side}_") else f"{side}_{joint}"
 
 

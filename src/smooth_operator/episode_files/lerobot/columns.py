@@ -20,13 +20,7 @@ These columns hold, without loss, the data that LeRobot's own columns can't hold
 
 ======================  =====================  ===================================================
 ``stamp``               float64                time of the frame by the recording's own clock [s]
-``landmarks``           float64 (63,)          as ``observation.state``
-``landmarks_valid``     bool (21,)             False where the tracker lost the landmark
-``left_hand``           bool                   True for a left hand
-``metacarpals``         float64 (12,)          metacarpal bases [m], index to pinky
-``orientations``        float64 (84,)          quaternions wxyz, one per landmark
-``human_wrist``         float64 (7,)           in its world: x y z [m], quaternion wxyz
-``human_forearm``       float64 (3,)           unit vector from elbow to wrist, in the wrist's frame
+``SIDE_landmarks``, …                          the human hand; see the module ``human``
 ``wrist_command``       float64 (7,)           of the robot hand, in the robot's base, the same
 ``wrist_engaged``       bool                   whether the operator's wrist moved it
 ``wrist_valid``         bool                   whether the operator's wrist was known
@@ -68,6 +62,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_operator.episode_files.lerobot.human import (
+    LANDMARK_NAMES,
+    human_columns,
+    human_layout,
+    human_parts,
+    human_sides,
+)
 from smooth_operator.episode_files.lerobot.schema import (
     COLUMNS,
     ENVIRONMENT_STATE,
@@ -82,27 +83,15 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.wrist_joints import with_wrist_joints
-from smooth_operator.landmarks import FINGERS, LANDMARKS
 
 NO_COMMAND: Final = -1
 """Status of a frame without a command."""
 
-_LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
-_METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
-_ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "wxyz")
 ROBOT_TYPE: Final = "smooth_hand"
 """Name of the robot plug-in."""
 
 ROBOT_FPS: Final = 30
 """Default frame rate of a robot's columns [Hz], the same as that of ``lerobot-record``."""
-
-_OF_RECORDING: Final = {
-    "metacarpals": ("metacarpals", _METACARPAL_NAMES),
-    "orientations": ("orientations", _ORIENTATION_NAMES),
-    "human_wrist": ("T_world_wrist", POSE_NAMES),
-    "human_forearm": ("forearm", ("x", "y", "z")),
-}
-"""Column -> attribute of a recording, which may be None, and names of the components."""
 
 
 def layout_of(episode: Episode) -> Layout:
@@ -110,11 +99,8 @@ def layout_of(episode: Episode) -> Layout:
     recording, commands, states = episode.recording, episode.commands, episode.states
     layout: Layout = {"stamp": None}
     if recording is not None:
-        layout |= {"observation.state": _LANDMARK_NAMES, "landmarks": _LANDMARK_NAMES}
-        layout |= {"landmarks_valid": LANDMARKS, "left_hand": None}
-        for name, (attribute, names) in _OF_RECORDING.items():
-            if getattr(recording, attribute) is not None:
-                layout[name] = names
+        layout |= {"observation.state": LANDMARK_NAMES}
+        layout |= human_layout(recording.side, human_parts(recording))
     if commands is not None:
         joints = tuple(commands.joint_names)
         layout |= {"action": joint_keys(joints), "joint_positions": joints}
@@ -144,13 +130,13 @@ def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
         RecordingError: only one of them has a hand or commands, or their joints differ; a dataset
             has one kind of observation and one kind of action.
     """
-    for column, what in (
-        ("landmarks", "hand frames"),
-        ("joint_positions", "commands"),
-        ("measured_positions", "measured joints"),
+    for own, others, what in (
+        (human_sides(layout), human_sides(other), "hand frames"),
+        ("joint_positions" in layout, "joint_positions" in other, "commands"),
+        ("measured_positions" in layout, "measured_positions" in other, "measured joints"),
     ):
-        if (column in layout) != (column in other):
-            has, lacks = names if column in layout else names[::-1]
+        if bool(own) != bool(others):
+            has, lacks = names if own else names[::-1]
             raise RecordingError(
                 f"{has} has {what} but {lacks} has none; the episodes of one LeRobot dataset "
                 "must have the same columns, so convert them into two datasets"
@@ -205,15 +191,8 @@ def episode_columns(
     recording, commands = episode.recording, episode.commands
     columns: dict[str, np.ndarray] = {"stamp": episode.stamps}
     if recording is not None:
-        assert recording.valid is not None  # filled in by HandRecording
-        flat = recording.landmarks.reshape(count, -1)
-        columns |= {"observation.state": flat, "landmarks": flat}
-        columns["landmarks_valid"] = recording.valid
-        columns["left_hand"] = np.full(count, recording.side == "left")
-        for name, (attribute, _) in _OF_RECORDING.items():
-            value = getattr(recording, attribute)
-            if value is not None:
-                columns[name] = value.reshape(count, -1)
+        columns["observation.state"] = recording.landmarks.reshape(count, -1)
+        columns |= human_columns(recording)
     if commands is not None:
         rows, chosen = _rows(episode)
 

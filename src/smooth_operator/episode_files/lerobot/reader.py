@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.episode_files.lerobot.columns import NO_COMMAND
-from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN, numbers, read_table
+from smooth_operator.episode_files.lerobot.human import OPTIONAL_PARTS, human_sides, read_human
+from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN, arrow, numbers, read_table
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError, brief, listed, reason
 from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.checks import (
@@ -20,9 +22,9 @@ from smooth_operator.formats.checks import (
     check_recording,
     check_side,
     check_stamps,
-    side_note,
     without_outliers,
 )
+from smooth_operator.formats.clip import Clip
 from smooth_operator.formats.episode import (
     BASE,
     ArmTrack,
@@ -64,11 +66,15 @@ class Dataset:
         """``episode_index`` of each episode, in order."""
         return [int(row["episode_index"]) for row in self.episodes]
 
+    @functools.cached_property
+    def _rows(self) -> dict[int, dict[str, Any]]:
+        return {int(row["episode_index"]): row for row in self.episodes}
+
     def row(self, number: int) -> dict[str, Any]:
         """Returns the row of one episode; ConfigError if there is no episode with that number."""
-        for row in self.episodes:
-            if row["episode_index"] == number:
-                return row
+        row = self._rows.get(number)
+        if row is not None:
+            return row
         raise ConfigError(
             f"{self.path}: it has no episode {number}; it has {len(self)}, {self.numbers[0]} to "
             f"{self.numbers[-1]}"
@@ -148,7 +154,7 @@ def read_dataset_episode(
     Args:
         number: number of the episode.
         rate: frame rate [Hz]; the stamps of the episode must agree with it.
-        side: side of the hand; required for a left hand if the dataset does not state the side.
+        side: side of the hand; required for an episode with both hands.
         layout: order of the landmarks in an episode of another tool, one of ``LAYOUTS``; the order
             in this program's own episodes is known.
 
@@ -159,23 +165,13 @@ def read_dataset_episode(
             not those of a hand.
         UnknownNameError: there is no such ``layout``.
     """
-    row = dataset.row(number)
-    file = _data_file(dataset, row)
-    table = read_table(file, [("episode_index", "=", number)])
-    if table.num_rows != row.get("length", table.num_rows) or not table.num_rows:
-        raise RecordingError(
-            f"{file}: it holds {table.num_rows} frames of episode {number}, but the metadata "
-            f"say {row.get('length')}; the dataset is incomplete, copy it again"
-        )
-    if "frame_index" in table.column_names:
-        order = numbers(table, "frame_index", 1, file)[:, 0].argsort(kind="stable")
-        table = table.take(order)
+    row, file = dataset.row(number), data_file(dataset, number)
+    table = _frames(row, read_table(file, [("episode_index", "=", number)]), file)
     own = _own(row, dataset.path)
     name = dataset.name_of(number)
     stamps = numbers(table, "stamp", 1, file)[:, 0].astype(np.float64)
     recording: HandRecording | None = None
-    notes: tuple[str, ...] = ()
-    if "landmarks" in dataset.info["features"]:
+    if human_sides(dataset.info["features"]):
         recording = _recording(table, own, stamps, name, side, layout, file)
         check_rate(stamps, rate, str(file))
         if not own:
@@ -183,8 +179,6 @@ def read_dataset_episode(
             check_anatomy(recording, where, side=side)
             check_recording(recording, where)
             recording = without_outliers(recording)
-        if recording.meta["side_assumed"]:
-            notes = (side_note(f"{dataset.path}, episode {number},"),)
     commands: CommandTrajectory | None = None
     stages: dict[str, np.ndarray] = {}
     if "joint_positions" in dataset.info["features"]:
@@ -203,10 +197,56 @@ def read_dataset_episode(
     arm = None
     if commands is not None and "arm_positions" in dataset.info["features"]:
         arm = _arm(table, dataset.info["features"], own, file)
-    return Episode(recording, commands, config, stages, task, name, notes, states, wrist, arm)
+    return Episode(recording, commands, config, stages, task, name, (), states, wrist, arm)
 
 
-def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
+def read_dataset_clip(dataset: Dataset, number: int, table: Any) -> tuple[Clip, Any]:
+    """Reads the human hands of one episode.
+
+    Args:
+        number: number of the episode.
+        table: content of its ``data_file``.
+
+    Returns:
+        a clip of the hands that were seen; and the rows of the episode in ``table``.
+
+    Raises:
+        RecordingError: as ``read_dataset_episode``; or no hand was seen in the episode.
+    """
+    row, file = dataset.row(number), data_file(dataset, number)
+    is_its = numbers(table, "episode_index", 1, file)[:, 0] == number
+    rows = _frames(row, table.filter(arrow().array(is_its)), file)
+    own, name, hands = _own(row, dataset.path), dataset.name_of(number), {}
+    stamps = numbers(rows, "stamp", 1, file)[:, 0].astype(np.float64)
+    for side in human_sides(dataset.info["features"]):
+        if numbers(rows, f"{side}_landmarks_valid", 21, file).any():
+            hands[side] = _recording(rows, own, stamps, name, side, None, file)
+    if not hands:
+        raise RecordingError(
+            f"{dataset.path}, {name}: no human hand is seen in any frame; delete the episode with "
+            "lerobot-edit-dataset"
+        )
+    tasks = row.get("tasks")
+    return Clip(name, hands, "lerobot", (file,), tasks[0] if tasks else None), rows
+
+
+def _frames(row: Mapping[str, Any], table: Any, file: Path) -> Any:
+    """Checks the number of frames of an episode, and puts them in order."""
+    if table.num_rows != row.get("length", table.num_rows) or not table.num_rows:
+        raise RecordingError(
+            f"{file}: it holds {table.num_rows} frames of episode {row['episode_index']}, but the "
+            f"metadata say {row.get('length')}; the dataset is incomplete, copy it again"
+        )
+    if "frame_index" not in table.column_names:
+        return table
+    order = numbers(table, "frame_index", 1, file)[:, 0].argsort(kind="stable")
+    return table.take(order)
+
+
+def data_file(dataset: Dataset, number: int) -> Path:
+    """Returns the file with the frames of an episode; RecordingError if the metadata do not say
+    where it is, or name a file outside the dataset."""
+    row = dataset.row(number)
     try:
         relative = _filled(
             dataset.info["data_path"],
@@ -283,48 +323,40 @@ def _recording(
     layout: str | None,
     file: Path,
 ) -> HandRecording:
-    count = len(stamps)
-    labels = {str(own["side"])} if own.get("side") else set()
-    if not labels and "left_hand" in table.column_names:
-        flags = numbers(table, "left_hand", 1, file)[:, 0].astype(bool)
-        labels = {"left" if left else "right" for left in flags.tolist()}
-    recorded_side, assumed = check_side(labels, side, str(file))
+    """Reads one hand of an episode."""
+    side = _side(table, own, side, f"{file}, {name}")
     check_stamps(stamps, f"{file}, {name}")
     stored = own.get("meta")
-    meta = {
-        **(stored if isinstance(stored, dict) else {}),
-        "format": "lerobot",
-        "side_assumed": assumed,
-    }
+    meta = {**(stored if isinstance(stored, dict) else {}), "format": "lerobot"}
     if own:
         layout = None
     if layout is not None:
         meta["layout"] = layout
     picked = layout_order(layout)
-    landmarks = numbers(table, "landmarks", 63, file).reshape(count, 21, 3).astype(np.float64)
-    valid = numbers(table, "landmarks_valid", 21, file).astype(bool)
-    optional: dict[str, Any] = {}
-    for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4))):
-        # Where other tools dropped what says so, the column itself decides.
-        if own.get(key, key in table.column_names):
-            values = numbers(table, key, shape[0] * shape[1], file)
-            optional[key] = values.reshape(count, *shape).astype(np.float64)
-    if _has(own, "human_wrist", table):
-        optional["T_world_wrist"] = numbers(table, "human_wrist", 7, file).astype(np.float64)
-        optional["world"] = None if own.get("world") is None else str(own["world"])[:64]
-    if _has(own, "human_forearm", table):
-        optional["forearm"] = numbers(table, "human_forearm", 3, file).astype(np.float64)
-    if "orientations" in optional:
-        optional["orientations"] = optional["orientations"][:, picked]
-    return HandRecording(
-        in_our_order(landmarks, layout),
-        stamps,
-        recorded_side,
-        valid=valid[:, picked],
-        name=name,
-        meta=meta,
-        **optional,
-    )
+    parts = own.get("parts")
+    absent = () if not isinstance(parts, list) else {*OPTIONAL_PARTS} - {*map(str, parts)}
+    hand: dict[str, Any] = read_human(table, side, file, absent)
+    hand["valid"] = hand["valid"][:, picked]
+    hand["landmarks"] = in_our_order(hand["landmarks"], layout)
+    if "orientations" in hand:
+        hand["orientations"] = hand["orientations"][:, picked]
+    if "T_world_wrist" in hand:
+        hand["world"] = None if own.get("world") is None else str(own["world"])[:64]
+    return HandRecording(stamps=stamps, side=side, name=name, meta=meta, **hand)
+
+
+def _side(table: Any, own: dict[str, Any], side: Side | None, where: str) -> Side:
+    """Side of the hand to read; RecordingError if the episode lacks it, or has both and none was
+    requested."""
+    sides = human_sides(table.column_names)
+    if own.get("side") in sides:
+        sides = (own["side"],)
+    elif len(sides) > 1:
+        seen = {s: numbers(table, f"{s}_landmarks_valid", 21, Path(where)).any() for s in sides}
+        sides = tuple(each for each in sides if seen[each]) or sides
+    if side is None and len(sides) > 1:
+        raise RecordingError(f"{where}: it has both hands; choose one with --side right or left")
+    return check_side(sides if side not in sides else (side,), side, where)[0]
 
 
 def _has(own: dict[str, Any], name: str, table: Any) -> bool:

@@ -2,7 +2,8 @@
 
 A data set has some of the columns in ``COLUMNS``, in the order of its ``Layout``, and the columns
 ``INDICES``, which all LeRobot data sets have. ``columns`` makes those of ``convert`` and of the
-robot ``smooth_hand``, ``smooth_operator.datasets.writers.lerobot_columns`` those of ``dataset``.
+robot ``smooth_hand``, ``smooth_operator.datasets.writers.lerobot_columns`` those of ``dataset``;
+the columns of the human hands are the same in all of them, see ``human``.
 """
 
 from __future__ import annotations
@@ -43,13 +44,19 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     ENVIRONMENT_STATE: ("float32", "rad, measured positions of all joints"),
     "action": ("float32", "rad, joint positions; m and quaternion wxyz, wrist"),
     "stamp": ("float64", "s, true time of the frame"),
-    "landmarks": ("float64", "m, as observation.state, without loss"),
-    "landmarks_valid": ("bool", "false where the tracker lost the landmark"),
-    "left_hand": ("bool", "which hand"),
-    "metacarpals": ("float64", "m"),
-    "orientations": ("float64", "quaternions wxyz"),
-    "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
-    "human_forearm": ("float64", "direction of the forearm, in the frame of the wrist"),
+    **{
+        f"{side}_{name}": about
+        for side in ("right", "left")
+        for name, about in (
+            ("landmarks", ("float64", "m, the human hand, in the tracker's frame")),
+            ("landmarks_valid", ("bool", "false where the tracker lost the landmark")),
+            ("metacarpals", ("float64", "m, of the human hand")),
+            ("orientations", ("float64", "quaternions wxyz of the landmarks")),
+            ("human_wrist", ("float64", "m, quaternion wxyz, in its world")),
+            ("human_wrist_valid", ("bool", "whether the human wrist was known")),
+            ("human_forearm", ("float64", "direction of the forearm, in the frame of the wrist")),
+        )
+    },
     "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
     "wrist_engaged": ("bool", "true if the operator's wrist moved the robot's"),
     "wrist_valid": ("bool", "true if the operator's wrist was known"),
@@ -70,15 +77,13 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "SIDE_wrist_valid": ("bool", "true if the wrist was known; if not, another known pose is held"),
     "SIDE_status": ("int64", "status of the command; -1 if the clip lacks this hand"),
     "SIDE_confidence": ("float32", "confidence of the tracker, 0 to 1; -1 if unknown"),
-    "SIDE_human_wrist": ("float32", "m, quaternion wxyz, in the clip's world"),
-    "SIDE_human_wrist_valid": ("bool", "whether it was known"),
     "camera": ("float32", "m, quaternion wxyz, axes x right, y down, z forward"),
     "camera_valid": ("bool", "whether it was known"),
     "objects": ("float32", "m, quaternion wxyz, one object after the other"),
     "objects_valid": ("bool", "whether each was known"),
 }
 """Name -> type, and unit or meaning, of each column that is not an index, in order. ``SIDE``
-is ``right`` or ``left``: ``dataset`` writes these columns for each hand, with poses in float32."""
+is ``right`` or ``left``: ``dataset`` writes these columns for each hand."""
 
 Layout: TypeAlias = dict[str, tuple[str, ...] | None]
 """Columns of a dataset or episode: name -> names of the components; None for one number."""

@@ -18,6 +18,7 @@ from smooth_operator.episode_files.lerobot.columns import (
     robot_layout,
     widened,
 )
+from smooth_operator.episode_files.lerobot.human import human_parts
 from smooth_operator.episode_files.lerobot.schema import Layout, column_of, dataset_features
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
@@ -169,11 +170,11 @@ def write_dataset(
         )
         _write_json(stage / "meta" / "info.json", info)
         _write_json(stage / MARK, {"program": PROGRAM, "version": 1})
-        (stage / "README.md").write_text(_card(info), encoding="utf-8")
+        (stage / "README.md").write_text(dataset_readme(info), encoding="utf-8")
     return notes.texts()
 
 
-def _card(info: dict[str, Any]) -> str:
+def dataset_readme(info: dict[str, Any]) -> str:
     """Makes the README from ``meta/info.json``."""
     text = (
         f"A LeRobot dataset ({info['codebase_version']}), written by smooth-operator: "
@@ -194,7 +195,7 @@ def is_own_dataset(path: Path) -> bool:
     """True if a folder is a dataset that this program wrote and contains nothing else."""
     try:
         mark = read_json(path / MARK)
-        others = {item.name for item in path.iterdir()} - {"meta", "data", "README.md"}
+        others = {item.name for item in path.iterdir()} - {"meta", "data", "videos", "README.md"}
     except (OSError, ValueError):
         return False
     return isinstance(mark, dict) and mark.get("program") == PROGRAM and not others
@@ -254,10 +255,7 @@ def _own(episode: Episode) -> dict[str, Any]:
         "name": episode.name,
         "side": None if episode.recording is None else episode.recording.side,
         "task": episode.task,
-        "metacarpals": "metacarpals" in layout,
-        "orientations": "orientations" in layout,
-        "human_wrist": "human_wrist" in layout,
-        "human_forearm": "human_forearm" in layout,
+        "parts": [] if episode.recording is None else list(human_parts(episode.recording)),
         "world": None if episode.recording is None else episode.recording.world,
         "wrist_command": "wrist_command" in layout,
         "wrist_world": None if episode.wrist is None else episode.wrist.world,
@@ -338,7 +336,7 @@ class _Notes:
                 "column 'stamp'; use --fps to choose another rate"
             )
         for count, what, flag in (
-            (self._missing, "missing landmarks (NaN in landmarks)", "landmarks_valid"),
+            (self._missing, "missing landmarks (NaN in SIDE_landmarks)", "SIDE_landmarks_valid"),
             (self._unanswered, "no command (NaN in action)", "status"),
         ):
             if count:

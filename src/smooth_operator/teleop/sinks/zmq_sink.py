@@ -112,6 +112,10 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
         }
     if tick.arm is not None:
         message["arm"] = arm_message(tick.arm)
+    if frame is not None:
+        assert frame.valid is not None  # filled in by HandFrame
+        points = zip(frame.landmarks, frame.valid, strict=True)
+        message["landmarks"] = [numbers(point) if valid else None for point, valid in points]
     if frame is not None and frame.T_world_wrist is not None:
         pose = numbers(frame.T_world_wrist) if is_valid(frame.T_world_wrist) else None
         message["operator_wrist"] = {"pose": pose, "world": frame.world}
