@@ -187,6 +187,8 @@ class Limiter(JointLimiter):
         gearing = np.maximum(slopes, 1.0)
         # a polynomial adds p'' v^2 to its follower's acceleration: at most half of the limit
         velocity = np.full(len(gearing), config.velocity) / gearing
+        wrist = [hand.joint_names[i] in hand.spec.wrist_joints for i in hand.actuated]
+        velocity[wrist] = np.minimum(velocity[wrist], config.wrist_velocity)
         bent = curvature > 0
         top = np.sqrt(config.acceleration / (2 * curvature[bent]))
         velocity[bent] = np.minimum(velocity[bent], top)

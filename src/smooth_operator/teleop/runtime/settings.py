@@ -57,16 +57,18 @@ class LimitsConfig:
         velocity: Largest velocity of any joint, coupled ones included [rad/s].
         acceleration: Largest acceleration of any joint [rad/s^2].
         margin: Distance that joints keep from each end of their range [rad].
+        wrist_velocity: Largest velocity of a wrist joint [rad/s]; the default is that of the URDF
+            of the Shadow hand.
     """
 
     velocity: float = 15.0
     acceleration: float = 1500.0
     margin: float = 0.0
+    wrist_velocity: float = 2.0
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self, "limits: ", positive=("velocity", "acceleration"), not_negative=("margin",)
-        )
+        positive = ("velocity", "acceleration", "wrist_velocity")
+        check_numbers(self, "limits: ", positive=positive, not_negative=("margin",))
 
 
 @dataclass(frozen=True)
