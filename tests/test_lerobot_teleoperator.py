@@ -93,6 +93,7 @@ def session(plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Callabl
     return lambda **settings: Session(plugin, monkeypatch, **settings)
 
 
+POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 JOINTS = {"i-mcp": "index_mcp", "i-pip": "index_pip"}
 
 
@@ -154,6 +155,17 @@ def test_without_names_all_joints_are_known_once_commands_come(session, plugin):
         _ = now.device.action_features
     now.device.connect()
     assert list(now.device.action_features) == ["i-mcp.pos", "i-pip.pos"]
+
+    hand = load_hand("orca_v2")
+    named = session(hand="orca_v2", wrist="quaternion")  # an arm has the wrist
+    fingers = [f"{name}.pos" for name in hand.joint_names]
+    assert list(named.device.action_features) == [*fingers, *POSE]
+    with_wrist = session(hand="orca_v2")
+    assert list(with_wrist.device.action_features) == [*fingers, "right_wrist.pos"]
+    with pytest.raises(
+        ValueError, match=r"--teleop.hand=orca_v2 has .*, but .* sends i-mcp, i-pip"
+    ):
+        with_wrist.device.connect()
 
 
 def test_an_old_command_is_not_followed_and_a_new_one_not_jumped_to(session, plugin):
@@ -344,8 +356,7 @@ def test_the_loop_may_run_in_the_same_process(plugin):
     device.connect()
     first, deadline = device.get_action(), time.monotonic() + PATIENCE_S
     joints = [f"{name}.pos" for name in load_hand("mimic_p050").joint_names]
-    pose = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
-    expected = [f"{side}_{key}" for side in ("right", "left") for key in (*joints, *pose)]
+    expected = [f"{side}_{key}" for side in ("right", "left") for key in (*joints, *POSE)]
     assert list(first) == list(device.action_features) == expected
     still = {"index_mcp2pp.pos", "tcp.x"}
     still = {f"{side}_{key}" for side in ("right", "left") for key in still}

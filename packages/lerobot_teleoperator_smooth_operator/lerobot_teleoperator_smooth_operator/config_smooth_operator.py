@@ -33,7 +33,9 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             after that, ``get_action`` raises.
         source: source (``webxr``, ``manus``, ``synthetic``) with which to run the loop in this
             process; empty to subscribe to ``address``.
-        hand: robot hand, if the loop runs in this process.
+        hand: robot hand: the one to drive if the loop runs in this process (by default
+            ``mimic_p050``); otherwise the one that ``teleop`` drives, with which
+            ``action_features`` is known before ``connect``, also without ``joints``.
         method: retargeting method, if the loop runs in this process; empty for the default.
         human: True to make ``lerobot-record`` store the human hands too: landmarks, wrist, time.
     """
@@ -50,6 +52,6 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     timeout_s: float = 5.0
     hold_s: float = 2.0
     source: str = ""
-    hand: str = "mimic_p050"
+    hand: str = ""
     method: str = ""
     human: bool = False

@@ -18,9 +18,14 @@ from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
 
 logger = logging.getLogger(__name__)
+
+_OWN_HAND = "mimic_p050"
+"""Robot hand of a loop in this process, if the settings name none."""
 
 
 class _HandActions:
@@ -38,7 +43,8 @@ class _HandActions:
     ) -> None:
         self.side, self._config, self._prefix = side, config, prefix
         self._given = dict(joints)
-        self.keys = self._made(joints)
+        self._expected = () if joints else _model_joints(side, config)
+        self.keys = self._made(joints or {name: name for name in self._expected})
         self._order: tuple[int, ...] = ()
         self._names: tuple[str, ...] = ()
         self._joints, self._pose = Follower(), PoseFollower()
@@ -54,6 +60,13 @@ class _HandActions:
         Raises:
             ValueError: a joint is missing.
         """
+        if self._expected not in ((), command.names):
+            raise ValueError(
+                f"--teleop.hand={self._config.hand or _OWN_HAND} has the joints "
+                f"{', '.join(self._expected)}, but smooth-operator sends "
+                f"{', '.join(command.names)} for the {self.side} hand; name the hand that teleop "
+                "drives, or the joints in --teleop.joints"
+            )
         joints = self._given or {name: name for name in command.names}
         missing = [name for name in joints if name not in command.names]
         if missing:
@@ -148,11 +161,11 @@ class SmoothOperator(Teleoperator):
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Key -> ``float``. Without ``joints``, the keys are known only after ``connect``."""
+        """Key -> ``float``; before ``connect`` if ``joints``, ``hand`` or ``source`` is set."""
         if not all(hand.keys for hand in self._hands):
             raise DeviceNotConnectedError(
-                "without --teleop.joints, the joints are unknown until commands arrive: connect "
-                "first, or name the joints"
+                "the joints are unknown until commands arrive: connect first, or name the hand "
+                "that teleop drives (--teleop.hand) or its joints (--teleop.joints)"
             )
         features: dict[str, type] = {}
         for hand in self._hands:
@@ -204,7 +217,7 @@ class SmoothOperator(Teleoperator):
             feed = InProcess(
                 config.source,
                 self._newest,
-                config.hand,
+                config.hand or _OWN_HAND,
                 config.side,
                 config.method,
                 wrist_joints=config.wrist == "none",
@@ -340,6 +353,15 @@ class SmoothOperator(Teleoperator):
         elif self._warned and not held:
             logger.warning("commands have resumed")
         self._warned = bool(held)
+
+
+def _model_joints(side: str, config: SmoothOperatorConfig) -> tuple[str, ...]:
+    """Joints of the hand that the settings name, as commands name them; empty without a hand."""
+    name = config.hand or (_OWN_HAND if config.source else "")
+    if not name:
+        return ()
+    hand = load_hand(name, side)
+    return (with_wrist_joints(hand) if config.wrist == "none" else hand).joint_names
 
 
 def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
