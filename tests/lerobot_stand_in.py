@@ -8,7 +8,7 @@ import importlib.util
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
@@ -90,8 +90,28 @@ def _modules() -> dict[str, ModuleType]:
         *_COMMON, "action_features", "observation_features", "get_observation", "send_action"
     )
     camera = _abstract("is_connected", "connect", "read", "async_read", "disconnect")
+
+    class Registry:
+        register = staticmethod(lambda name: lambda step: step)
+
+    @dataclass
+    class PolicyFeature:
+        type: str
+        shape: tuple[int, ...]
+
+    action = {"ACTION": "ACTION"}
     contents: dict[str, dict[str, object]] = {
         "lerobot": {},
+        "lerobot.configs": {},
+        "lerobot.configs.types": {
+            "FeatureType": SimpleNamespace(**action),
+            "PipelineFeatureType": SimpleNamespace(**action),
+            "PolicyFeature": PolicyFeature,
+        },
+        "lerobot.processor": {
+            "ProcessorStepRegistry": Registry,
+            "RobotActionProcessorStep": abc.ABC,
+        },
         "lerobot.cameras": {"CameraConfig": CameraConfig},
         "lerobot.cameras.camera": {"Camera": camera},
         "lerobot.cameras.utils": {"make_cameras_from_configs": lambda configs: {}},

@@ -17,7 +17,8 @@ from lerobot_stand_in import REAL, TELEOPERATOR, use_plugins
 from live_time import PATIENCE_S
 from ticks import make_tick
 
-from smooth_operator import load_hand
+from smooth_operator import Retargeter, load_hand
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.sinks.tick import ArmCommand
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink, command_message
 
@@ -94,6 +95,7 @@ def session(plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Callabl
 
 
 POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+EE = ("ee.x", "ee.y", "ee.z", "ee.wx", "ee.wy", "ee.wz", "ee.gripper_pos")
 JOINTS = {"i-mcp": "index_mcp", "i-pip": "index_pip"}
 
 
@@ -453,3 +455,79 @@ def test_the_human_hand_is_stored_beside_the_robot(session, monkeypatch):
     third = step()  # without a hand
     assert not third["right_landmarks_valid"].any()
     assert [frame["stamp"][0] for frame in data.frames] == pytest.approx([100.03, 100.06, 100.09])
+
+
+def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):
+    operator = SyntheticOperator(seed=0)
+    frames = operator.record(0.1).landmarks
+    now = session(joints=JOINTS, landmarks=True, wrist="quaternion")
+    now.wrist = {"pose": [0.3, 0.2, 0.1, *[math.sqrt(0.5), 0, 0, math.sqrt(0.5)]]}
+    now.device.connect()
+
+    def step(points: np.ndarray | None) -> dict[str, float]:
+        now.clock.now += 0.03
+        now.send(landmarks=None if points is None else points.tolist())
+        action = now.device.get_action()
+        assert action.keys() == now.device.action_features.keys()
+        return dict(action)
+
+    rest = {f"{name}.pos" for name in JOINTS.values()}
+    joints = plugin.package.LandmarksToJoints(hand="mimic_p050", method="joint_angle")
+    model = load_hand("mimic_p050")
+    names = [f"{name}.pos" for name in model.joint_names]
+    before = joints.action(step(None))  # without a hand: the neutral pose
+    neutral = model.full_configuration(model.neutral)
+    np.testing.assert_allclose([before[name] for name in names], neutral, atol=1e-9)
+    made = [joints.action(step(points)) for points in frames]
+    assert made[0].keys() == {*names, *rest, *POSE}
+    expected = Retargeter("mimic_p050", method="joint_angle")(frames[0]).command.joint_positions
+    np.testing.assert_allclose([made[0][name] for name in names], expected, atol=1e-5)
+    assert joints.action(step(None)) == made[-1]  # it holds
+    from lerobot.configs.types import PipelineFeatureType
+
+    kind = PipelineFeatureType.ACTION
+    described = {kind: dict.fromkeys(now.device.action_features, float)}
+    assert joints.transform_features(described)[kind].keys() == made[0].keys()
+
+    gripper = plugin.package.LandmarksToEndEffector()
+    pinch = frames[0].copy()
+    pinch[4] = pinch[8]  # the tips of thumb and index finger
+    wide = frames[0].copy()
+    wide[4] = wide[8] + [0.0, 0.3, 0.0]
+    openings = []
+    for points in (None, pinch, None, wide):
+        action = gripper.action(step(points))
+        assert action.keys() == rest | set(EE)
+        openings.append(action["ee.gripper_pos"])
+    assert openings == [100.0, 0.0, 0.0, 100.0]
+    np.testing.assert_allclose([action[key] for key in EE[:3]], [0.3, 0.2, 0.1])
+    np.testing.assert_allclose([action[key] for key in EE[3:6]], [0, 0, math.pi / 2], atol=1e-9)
+    with pytest.raises(ValueError, match=r"expected the keys landmarks.wrist.x .*landmarks=true"):
+        gripper.action({"index_mcp.pos": 0.1})
+    without = {key: value for key, value in step(wide).items() if key not in POSE}
+    with pytest.raises(ValueError, match=r"expected the keys tcp.x to tcp.qz .*wrist=quaternion"):
+        gripper.action(without)
+
+
+@pytest.mark.lerobot
+@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+def test_lerobots_own_steps_for_arms_take_the_end_effector(plugin):
+    from lerobot.processor import ProcessorStepRegistry, TransitionKey, create_transition
+    from lerobot.robots.so_follower import robot_kinematic_processor as arms
+
+    solver = SimpleNamespace(inverse_kinematics=lambda q, pose, **_: np.zeros(len(q)))
+    joints = [*(f"joint{number}" for number in range(5)), "gripper"]
+    landmarks = SyntheticOperator(seed=0).record(0.02).landmarks[0]
+    keys = sys.modules[f"{TELEOPERATOR}.landmark_steps"].LANDMARK_KEYS
+    action = dict(zip(POSE, [0.3, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0], strict=True))
+    action |= dict(zip(keys, [*landmarks.ravel(), 1.0], strict=True))
+    observation = {f"{name}.pos": 0.0 for name in joints}
+    transition = create_transition(action=action, observation=observation)
+    for step in (
+        ProcessorStepRegistry.get("smooth_operator_landmarks_to_end_effector")(),
+        arms.EEBoundsAndSafety({"min": [-1.0] * 3, "max": [1.0] * 3}),
+        arms.InverseKinematicsEEToJoints(solver, joints),
+    ):
+        transition = step(transition)
+    assert transition[TransitionKey.ACTION].keys() == observation.keys()
+    assert 0.0 < transition[TransitionKey.ACTION]["gripper.pos"] <= 100.0

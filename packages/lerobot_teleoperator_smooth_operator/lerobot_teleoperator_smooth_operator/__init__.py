@@ -1,6 +1,15 @@
 """LeRobot teleoperator ``smooth_operator``, with which a tracked human hand drives a robot hand."""
 
 from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
+from lerobot_teleoperator_smooth_operator.landmark_steps import (
+    LandmarksToEndEffector,
+    LandmarksToJoints,
+)
 from lerobot_teleoperator_smooth_operator.teleoperator import SmoothOperator
 
-__all__ = ["SmoothOperator", "SmoothOperatorConfig"]
+__all__ = [
+    "LandmarksToEndEffector",
+    "LandmarksToJoints",
+    "SmoothOperator",
+    "SmoothOperatorConfig",
+]

@@ -37,6 +37,8 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             ``mimic_p050``); otherwise the one that ``teleop`` drives, with which
             ``action_features`` is known before ``connect``, also without ``joints``.
         method: retargeting method, if the loop runs in this process; empty for the default.
+        landmarks: True to add the landmarks of the human hand to the action, for the processor
+            steps of ``landmark_steps``, which replace them.
         human: True to make ``lerobot-record`` store the human hands too: landmarks, wrist, time.
     """
 
@@ -54,4 +56,5 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     source: str = ""
     hand: str = ""
     method: str = ""
+    landmarks: bool = False
     human: bool = False

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
@@ -16,6 +17,7 @@ from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOp
 from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
 from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
+from lerobot_teleoperator_smooth_operator.landmark_steps import LANDMARK_KEYS
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys
 from smooth_operator.hands.registry import load_hand
@@ -49,6 +51,8 @@ class _HandActions:
         self._names: tuple[str, ...] = ()
         self._joints, self._pose = Follower(), PoseFollower()
         self.pose_keys = tuple(f"{prefix}{key}" for key in pose_keys(WRIST_NAMES[config.wrist]))
+        self.landmark_keys = tuple(f"{prefix}{key}" for key in LANDMARK_KEYS if config.landmarks)
+        self._landmarks = np.zeros(len(LANDMARK_KEYS))
 
     def ready(self, command: Command | None) -> bool:
         """True if a command contains everything that an action needs."""
@@ -82,6 +86,7 @@ class _HandActions:
         """Repeat the last action."""
         self._joints.hold()
         self._pose.hold()
+        self._landmarks[-1] = 0.0
 
     def follow(self, command: Command, now: float) -> None:
         """Let the next action follow a command."""
@@ -94,6 +99,11 @@ class _HandActions:
                     "the joints in --teleop.joints"
                 )
         self._joints.follow([command.positions[i] for i in self._order], now)
+        points = command.landmarks
+        if points is not None and np.isfinite(points).all():
+            self._landmarks = np.append(points, 1.0)
+        else:
+            self._landmarks[-1] = 0.0
         if self.pose_keys and command.wrist is not None:
             self._pose.follow(command.wrist, now)
         elif self.pose_keys:
@@ -111,6 +121,7 @@ class _HandActions:
             turn = rotation_6d(pose[3:]) if self._config.wrist == "rotation_6d" else pose[3:]
             numbers = [*map(float, pose[:3]), *map(float, turn)]
             values.update(zip(self.pose_keys, numbers, strict=True))
+        values.update(zip(self.landmark_keys, map(float, self._landmarks), strict=False))
         return values
 
     def _made(self, joints: Mapping[str, str]) -> tuple[JointKey, ...]:
@@ -170,7 +181,7 @@ class SmoothOperator(Teleoperator):
         features: dict[str, type] = {}
         for hand in self._hands:
             features |= {key.key: float for key in hand.keys}
-            features |= dict.fromkeys(hand.pose_keys, float)
+            features |= dict.fromkeys((*hand.pose_keys, *hand.landmark_keys), float)
         return features
 
     @property
