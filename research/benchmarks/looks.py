@@ -1,12 +1,13 @@
 """Figures of posture and motion of the robot hand compared with the operator's, and contact sheets.
 
     python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:precise sbr]
-        [--hands mimic_p050 shadow_hand] [--sheets FOLDER] [--faults]
+        [--hands mimic_p050 shadow_hand] [--sheets FOLDER] [--faults | --fingers]
 
 A recording is named as for ``smooth-operator bench``: ``glove.npz@:500``, ``video.npz@30hz``. The
 mean of a method is over recordings, each one unit; settling is pooled over all openings of all
 fingers as well. ``--faults``: how far are two runs apart, one to
 five seconds after a fault that one of them had? Each fault comes at six places of a recording.
+``--fingers``: does each long finger, index to pinky, close and open as the human's, and can it?
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from smooth_operator.benchmark.contact_sheet import contact_sheet
 from smooth_operator.benchmark.figures import Panel, Run
 from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.cli.hand_shape import ModelShape
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.retargeting.batching import BatchRetargeter
@@ -60,6 +63,18 @@ SETTLES: Final = (1.0, 5.0)
 """Interval after a fault in which two runs are compared [s]."""
 SOON: Final = 0.12
 """Time in which a finger should settle after a fast opening [s]."""
+FINGER_COLUMNS: Final = (
+    "correlation",
+    "folded: human",
+    "robot",
+    "least",
+    "open: human °",
+    "robot °",
+    "straight °",
+)
+"""Headings of ``print_fingers``; each cell has all long fingers."""
+OPEN: Final = 0.975
+"""Smallest extension of all long fingers of an open hand."""
 SWAPPED: Final = np.r_[0:5, 17:21, 13:17, 9:13, 5:9]
 """Order of landmarks in which index and little finger are exchanged, and so on."""
 
@@ -181,6 +196,48 @@ def print_faults(
                 print(f"| {method} | **all {len(every)}** | {fault} | {largest:.1f} | {mean:.3f} |")
 
 
+def finger_limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """(L,) least extension of each long finger in 4,000 random poses, half of whose joints are at
+    their limits, and (L,) its bend in the straight pose [degrees]."""
+    rng, (low, high) = np.random.default_rng(0), hand.limits.T
+    shares = (rng.uniform(-0.5, 1.5, (4000, len(low)))).clip(0, 1)
+    bases = np.array([BASES[FINGERS.index(name)] for name in hand.fingers[1:]])
+    rows = [[hand.tree.names.index(LANDMARKS[base + k]) for k in range(4)] for base in bases]
+    fingers = hand.landmark_positions(low + shares * (high - low))[:, rows]
+    straight = hand.landmark_positions(hand.straight_pose.q)[rows]
+    extensions = posture.robot_extensions(fingers, hand.straight_pose.reach[1:])
+    return extensions.min(axis=0), posture.curls(straight[None])[0]
+
+
+def print_fingers(
+    hand_name: str, methods: Sequence[str], recordings: Mapping[str, HandRecording]
+) -> None:
+    """Prints for each long finger how its extension follows the human's, its extension while the
+    human's is under ``posture.CLOSED``, and its bend while the human hand is open; medians."""
+    least, straight = finger_limits(load_hand(hand_name))
+    for method in methods:
+        for name, trace in run(method, hand_name, dict(recordings)).items():
+            assert trace.straight_lengths is not None  # `assemble_trace` fills them in
+            people, robots = trace.human_fingers[:, 1:], trace.robot_fingers[:, 1:]
+            human = posture.human_extensions(people)
+            robot = posture.robot_extensions(robots, trace.straight_lengths[1:])
+            seen = np.isfinite(human).all(axis=1)
+            both = zip(human[seen].T, robot[seen].T, strict=True)
+            folded, opened = human < posture.CLOSED, (human > OPEN).all(axis=1)
+            shares = np.ma.array([human, robot], mask=[~folded] * 2)
+            cells = (
+                [np.corrcoef(one)[0, 1] for one in both],
+                *np.ma.median(shares, axis=1).filled(np.nan),
+                least,
+                *(np.median(posture.curls(points[opened]), axis=0) for points in (people, robots)),
+                straight,
+            )
+            texts = [
+                ", ".join(f"{x:.{2 if k < 4 else 0}f}" for x in c) for k, c in enumerate(cells)
+            ]
+            print(f"| {hand_name} | {method} | {name} | " + " | ".join(texts) + " |", flush=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints a table for each hand, and draws its sheets if a folder is named."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -189,10 +246,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--hands", nargs="+", default=["mimic_p050"])
     parser.add_argument("--sheets", type=Path)
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--fingers", action="store_true")
     options = parser.parse_args(arguments)
     sources = load_sources([parse_request(text) for text in options.recordings])
     recordings = {s.name: s.recording for s in sources if s.recording is not None}
+    if options.fingers:
+        print("| hand | method | recording | " + " | ".join(FINGER_COLUMNS) + " |")
+        print("|---|---|---|" + "---:|" * len(FINGER_COLUMNS))
     for hand in options.hands:
+        if options.fingers:
+            print_fingers(hand, options.methods, recordings)
+            continue
         if options.faults:
             print_faults(hand, options.methods, recordings)
             continue
