@@ -25,7 +25,7 @@ from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.retargeting.batching import BatchRetargeter
@@ -198,15 +198,16 @@ def print_faults(
 
 def finger_limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
     """(L,) least extension of each long finger in 4,000 random poses, half of whose joints are at
-    their limits, and (L,) its bend in the straight pose [degrees]."""
-    rng, (low, high) = np.random.default_rng(0), hand.limits.T
-    shares = (rng.uniform(-0.5, 1.5, (4000, len(low)))).clip(0, 1)
+    their limits, and (L,) its bend in the straight pose [degrees]; NaN without its four points."""
+    low, high = hand.limits.T
+    shares = np.random.default_rng(0).uniform(-0.5, 1.5, (4000, len(low))).clip(0, 1)
+    q = np.vstack([low + shares * (high - low), hand.straight_pose.q])
+    points = np.full((len(q), NUM_LANDMARKS, 3), np.nan)
+    points[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.landmark_positions(q)
     bases = np.array([BASES[FINGERS.index(name)] for name in hand.fingers[1:]])
-    rows = [[hand.tree.names.index(LANDMARKS[base + k]) for k in range(4)] for base in bases]
-    fingers = hand.landmark_positions(low + shares * (high - low))[:, rows]
-    straight = hand.landmark_positions(hand.straight_pose.q)[rows]
+    fingers = points[:, bases[:, None] + range(4)]
     extensions = posture.robot_extensions(fingers, hand.straight_pose.reach[1:])
-    return extensions.min(axis=0), posture.curls(straight[None])[0]
+    return extensions.min(axis=0), posture.curls(fingers)[-1]
 
 
 def print_fingers(
@@ -224,10 +225,11 @@ def print_fingers(
             seen = np.isfinite(human).all(axis=1)
             both = zip(human[seen].T, robot[seen].T, strict=True)
             folded, opened = human < posture.CLOSED, (human > OPEN).all(axis=1)
-            shares = np.ma.array([human, robot], mask=[~folded] * 2)
+            both_folded = np.ma.array([human, robot], mask=[~folded] * 2)
+            medians = np.ma.median(both_folded, axis=1)  # type: ignore[no-untyped-call]
             cells = (
                 [np.corrcoef(one)[0, 1] for one in both],
-                *np.ma.median(shares, axis=1).filled(np.nan),
+                *medians.filled(np.nan),
                 least,
                 *(np.median(posture.curls(points[opened]), axis=0) for points in (people, robots)),
                 straight,
