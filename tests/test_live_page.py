@@ -641,66 +641,6 @@ def test_the_page_knows_within_half_a_second_that_the_loop_is_silent(talk, monke
     hangs.set()
 
 
-@pytest.fixture(scope="module")
-def served(stage: Stage) -> Iterator[LivePage]:
-    with LivePage(PageSetup("mimic_p050", port=0, details=False)) as page:
-        page.serve(stage.session)
-        yield page
-    assert page._process.returncode is not None
-    assert not page.trouble
-
-
-@pytest.fixture(scope="module")
-def page(chromium: Any, served: LivePage) -> Iterator[Any]:
-    """The page in a browser, which takes seconds to draw it first."""
-    shown = opened(chromium, served)
-    yield shown
-    shown.close()
-
-
-def opened(chromium: Any, served: LivePage, width: int = 900, height: int = 640) -> Any:
-    page, problems = new_page(chromium, width, height, drawn=False)
-    page.goto(served.url)
-    page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
-    page.get_by_text("EMERGENCY STOP").wait_for()
-    page.locator("[data-mode]").first.wait_for()
-    assert not [p for p in problems if "favicon" not in p]
-    return page
-
-
-@pytest.mark.browser
-def test_the_page_shows_the_loop_and_stops_it(page, stage):
-    page.locator('[data-mode="tracking"]').wait_for()
-    page.locator("#live-timing").get_by_text("solve").wait_for()
-    first = len(stage.ticks)
-    page.get_by_text("EMERGENCY STOP").click()
-    eventually(lambda: stage.mode() is Mode.STOPPED)
-    page.locator('[data-mode="stopped"]').wait_for()
-    held = np.array(
-        [t.command.joint_positions for t in stage.ticks[first:] if t.mode is Mode.STOPPED]
-    )
-    assert np.ptp(held, axis=0).max() == 0
-    page.get_by_text("Release the stop").click()
-    eventually(lambda: stage.mode() is Mode.TRACKING)
-    page.keyboard.press("x")
-    eventually(lambda: stage.mode() is Mode.STOPPED)
-    page.get_by_text("Release the stop").click()
-    page.get_by_role("button", name="Pause").click()
-    eventually(lambda: stage.mode() is Mode.PAUSED)
-    page.get_by_role("button", name="Resume").click()
-    eventually(lambda: stage.mode() is Mode.TRACKING)
-
-    page.get_by_role("tab", name="Method").click()
-    before = stage.loop.pipelines["right"].retargeter
-    chooser = page.locator("label", has_text=re.compile("^Method$")).get_attribute("for")
-    page.locator(f'[id="{chooser}"]').click()
-    page.get_by_role("option", name="geort").click()
-    eventually(lambda: stage.loop.pipelines["right"].retargeter is not before)
-    assert stage.session.switcher.used.method == "geort"
-    stage.session.do("method", "joint_angle")
-    eventually(lambda: stage.session.switcher.used.method == "joint_angle")
-
-
 WORDED = {"label", "detail", "message", "building", "recording", "title", "instruction"}
 
 
@@ -766,47 +706,11 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
         page.get_by_text(f"{ATTACK} note").first.wait_for()
 
 
-@pytest.mark.browser
-def test_nothing_is_cut_off_at_the_usual_sizes(page):
-    page.locator("#live-legend [data-chip]").first.wait_for()
-    for tab in ("Timing", "Method", "View"):
-        page.get_by_role("tab", name=tab).click()
-        eventually(lambda: not nameless(page))
-    # in one go: the texts are replaced several times a second
-    boxes = """() => {
-      const box = (found) => { const {left, right, top, bottom} = found.getBoundingClientRect();
-                               return {left, right, top, bottom}; };
-      const button = (icon) => box(document.querySelector(`button:has(.icon-tabler-${icon})`));
-      return {tabs: [...document.querySelectorAll("[role=tab]")].map(box),
-              summary: box(document.querySelector("#live-summary")),
-              legend: box(document.querySelector("#live-legend")),
-              stop: button("hand-stop"),
-              pause: button("player-pause"), record: button("player-record")}; }"""
-    for width, height in ((1400, 900), (1024, 768), (900, 600)):
-        page.set_viewport_size({"width": width, "height": height})
-        page.wait_for_function(f"document.body.clientWidth === {width}")
-        at = page.evaluate(boxes)
-        tops = {round(tab["top"]) for tab in at["tabs"]}
-        assert len(at["tabs"]) == 3
-        assert len(tops) == 1, f"the tabs stand in {len(tops)} rows at {width}"
-        assert at["summary"]["bottom"] <= min(tops), f"the status is cut off at {height}"
-        legend = at["legend"]  # over the hands, not over the controls
-        assert legend["left"] >= 0
-        assert legend["right"] <= at["tabs"][0]["left"]
-        assert 0 <= legend["top"] < legend["bottom"] <= height
-        assert at["pause"]["top"] == at["record"]["top"]
-        assert at["pause"]["right"] < at["record"]["left"]
-    # In a low window, as one enlarged to 200 %, too: an open list leaves the stop button free.
-    page.set_viewport_size({"width": 700, "height": 450})
-    page.wait_for_function("document.body.clientWidth === 700")
-    page.get_by_role("tab", name="Method").click()
-    page.locator("input[role=combobox]:visible").first.click()
-    page.get_by_role("option").first.wait_for()
-    listed = page.locator(".mantine-Select-dropdown:visible").bounding_box()
-    stop, record = (page.evaluate(boxes)[name] for name in ("stop", "record"))
-    assert stop["bottom"] <= listed["y"]
-    assert record["bottom"] <= page.evaluate(boxes)["tabs"][0]["top"]
-    page.keyboard.press("Tab")
+def drawing_of(server: Any, hand: str) -> tuple[LiveDrawing, dict[str, Any]]:
+    """A page without a loop, and its setup."""
+    link: Any = SimpleNamespace(do=lambda *_: None)
+    setup = dataclasses.asdict(PageSetup(hand, details=False, meshes=False))
+    return LiveDrawing(server, link, setup, StopPanel(server, link.do, attended=True)), setup
 
 
 def stays(stage: Stage, mode: Mode) -> None:
@@ -827,57 +731,6 @@ def tracks(page: Any, stage: Stage) -> None:
     page.wait_for_function("!document.title.includes('STOPPED')")
 
 
-@pytest.mark.browser
-def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage):
-    tracks(page, stage)
-    # Space after a click on Pause: the button has no focus any more, and Space stops
-    page.get_by_role("button", name="Pause").click()
-    eventually(lambda: stage.mode() is Mode.PAUSED)
-    page.get_by_role("button", name="Resume").wait_for()
-    page.keyboard.press("Space")
-    stays(stage, Mode.STOPPED)
-    tracks(page, stage)
-
-    stop = page.locator("button:has(.icon-tabler-hand-stop)")
-    release = page.locator("button:has(.icon-tabler-lock-open)")
-    page.get_by_role("tab", name="Method").click()
-    text = page.locator("input[role=combobox]:visible").first
-    for key in ("Space", "Escape", "x"):
-        text.focus()
-        page.keyboard.press(key)
-        eventually(lambda: stage.mode() is Mode.STOPPED)
-        release.wait_for()
-        if key == "Space":  # and once more on the button that releases
-            release.focus()
-            page.keyboard.press(key)
-            stays(stage, Mode.STOPPED)
-        tracks(page, stage)
-
-    # the whole page says so, and each button what it does
-    page.keyboard.press("Escape")
-    page.locator('[data-mode="stopped"]').wait_for()
-    release.wait_for()
-    page.wait_for_function("document.title.includes('STOPPED')")
-    overlay = page.evaluate(
-        "(({content, position, backgroundColor, pointerEvents, inset}) => "
-        "[content, position, backgroundColor, pointerEvents, inset])"
-        "(getComputedStyle(document.body, '::after'))"
-    )
-    assert "STOPPED" in overlay[0]
-    assert overlay[1:] == ["fixed", "rgba(255, 0, 0, 0.18)", "none", "0px"]
-    assert "STOPPED" in stop.inner_text()
-    assert "(U)" in release.inner_text()
-    assert page.get_by_role("button", name="Pause").is_disabled()
-
-    page.keyboard.press("p")  # which releases nothing
-    stays(stage, Mode.STOPPED)
-    page.keyboard.press("u")
-    eventually(lambda: stage.mode() is Mode.TRACKING)
-    page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
-    for name in ("Pause (P)", "Record (R)"):
-        page.get_by_role("button", name=name).wait_for()
-
-
 def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
     hands: dict[Side, Any] = {"right": load_hand("mimic_p050")}
     with serving() as server:
@@ -894,13 +747,6 @@ def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
         assert not [name for name in server.scene._handle_from_node_name if "right" in name]
         arm = LiveScene(server, hands, False, arm=ArmSettings("ur5e"), root="/second")
         assert not arm._floor.visible  # the arm's room has its own
-
-
-def drawing_of(server: Any, hand: str) -> tuple[LiveDrawing, dict[str, Any]]:
-    """A page without a loop, and its setup."""
-    link: Any = SimpleNamespace(do=lambda *_: None)
-    setup = dataclasses.asdict(PageSetup(hand, details=False, meshes=False))
-    return LiveDrawing(server, link, setup, StopPanel(server, link.do, attended=True)), setup
 
 
 def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
@@ -981,41 +827,6 @@ def test_a_page_without_a_connection_says_that_its_stop_does_not_work(chromium, 
     served.stop()
 
 
-@pytest.mark.browser
-def test_on_a_phone_the_buttons_are_within_reach(chromium, served):
-    page = opened(chromium, served, 390, 844)
-    for name in ("EMERGENCY STOP", "Pause", "Record"):
-        box = page.get_by_role("button", name=name).bounding_box()
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= 390
-        assert box["y"] + box["height"] <= 844
-    page.close()
-
-
-def process_figures(pid: int) -> tuple[int, float]:
-    """(threads, resident memory [MB]) of a process."""
-    text = Path(f"/proc/{pid}/status").read_text()
-    words = dict(line.split(":\t", 1) for line in text.splitlines() if ":\t" in line)
-    return int(words["Threads"]), int(words["VmRSS"].split()[0]) / 1024
-
-
-@pytest.mark.weekly
-@pytest.mark.browser
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
-def test_opened_and_closed_again_and_again_nothing_is_left(chromium, served, stage):
-    pid, threads = served._process.pid, threading.active_count()
-    seen = []
-    for _ in range(4):
-        opened(chromium, served, 300, 300).close()
-        time.sleep(0.3)
-        seen.append(process_figures(pid))
-    # in the end, whenever the page gets to it; viser's pool grows to its size
-    eventually(lambda: process_figures(pid)[1] - seen[1][1] < 20.0)
-    eventually(lambda: process_figures(pid)[0] - seen[1][0] <= 4)
-    eventually(lambda: threading.active_count() <= threads)
-    assert stage.mode().moves
-
-
 def test_another_hand_while_it_runs(monkeypatch, tmp_path):
     """The page stays at its address, the sinks get the next hand; what does not fit is refused."""
     monkeypatch.chdir(tmp_path)
@@ -1069,6 +880,195 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
             session.loop.controls.quit()
         thread.join(PATIENCE_S)
     assert len(ended) == 1
+
+
+@pytest.fixture(scope="module")
+def served(stage: Stage) -> Iterator[LivePage]:
+    with LivePage(PageSetup("mimic_p050", port=0, details=False, meshes=False)) as page:
+        page.serve(stage.session)
+        yield page
+    assert page._process.returncode is not None
+    assert not page.trouble
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Any, served: LivePage) -> Iterator[Any]:
+    """The page in a browser, which takes seconds to draw it first."""
+    shown = opened(chromium, served)
+    yield shown
+    shown.close()
+
+
+def opened(chromium: Any, served: LivePage, width: int = 900, height: int = 640) -> Any:
+    page, problems = new_page(chromium, width, height, drawn=False)
+    page.goto(served.url)
+    page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
+    page.get_by_text("EMERGENCY STOP").wait_for()
+    page.locator("[data-mode]").first.wait_for()
+    assert not [p for p in problems if "favicon" not in p]
+    return page
+
+
+@pytest.mark.browser
+def test_the_page_shows_the_loop_and_stops_it(page, stage):
+    page.locator('[data-mode="tracking"]').wait_for()
+    page.locator("#live-timing").get_by_text("solve").wait_for()
+    first = len(stage.ticks)
+    page.get_by_text("EMERGENCY STOP").click()
+    eventually(lambda: stage.mode() is Mode.STOPPED)
+    page.locator('[data-mode="stopped"]').wait_for()
+    held = np.array(
+        [t.command.joint_positions for t in stage.ticks[first:] if t.mode is Mode.STOPPED]
+    )
+    assert np.ptp(held, axis=0).max() == 0
+    page.get_by_text("Release the stop").click()
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    page.keyboard.press("x")
+    eventually(lambda: stage.mode() is Mode.STOPPED)
+    page.get_by_text("Release the stop").click()
+    page.get_by_role("button", name="Pause").click()
+    eventually(lambda: stage.mode() is Mode.PAUSED)
+    page.get_by_role("button", name="Resume").click()
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+
+    page.get_by_role("tab", name="Method").click()
+    before = stage.loop.pipelines["right"].retargeter
+    chooser = page.locator("label", has_text=re.compile("^Method$")).get_attribute("for")
+    page.locator(f'[id="{chooser}"]').click()
+    page.get_by_role("option", name="geort").click()
+    eventually(lambda: stage.loop.pipelines["right"].retargeter is not before)
+    assert stage.session.switcher.used.method == "geort"
+    stage.session.do("method", "joint_angle")
+    eventually(lambda: stage.session.switcher.used.method == "joint_angle")
+
+
+@pytest.mark.browser
+def test_nothing_is_cut_off_at_the_usual_sizes(page):
+    page.locator("#live-legend [data-chip]").first.wait_for()
+    for tab in ("Timing", "Method", "View"):
+        page.get_by_role("tab", name=tab).click()
+        eventually(lambda: not nameless(page))
+    # in one go: the texts are replaced several times a second
+    boxes = """() => {
+      const box = (found) => { const {left, right, top, bottom} = found.getBoundingClientRect();
+                               return {left, right, top, bottom}; };
+      const button = (icon) => box(document.querySelector(`button:has(.icon-tabler-${icon})`));
+      return {tabs: [...document.querySelectorAll("[role=tab]")].map(box),
+              summary: box(document.querySelector("#live-summary")),
+              legend: box(document.querySelector("#live-legend")),
+              stop: button("hand-stop"),
+              pause: button("player-pause"), record: button("player-record")}; }"""
+    for width, height in ((1400, 900), (1024, 768), (900, 600)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_function(f"document.body.clientWidth === {width}")
+        at = page.evaluate(boxes)
+        tops = {round(tab["top"]) for tab in at["tabs"]}
+        assert len(at["tabs"]) == 3
+        assert len(tops) == 1, f"the tabs stand in {len(tops)} rows at {width}"
+        assert at["summary"]["bottom"] <= min(tops), f"the status is cut off at {height}"
+        legend = at["legend"]  # over the hands, not over the controls
+        assert legend["left"] >= 0
+        assert legend["right"] <= at["tabs"][0]["left"]
+        assert 0 <= legend["top"] < legend["bottom"] <= height
+        assert at["pause"]["top"] == at["record"]["top"]
+        assert at["pause"]["right"] < at["record"]["left"]
+    # In a low window, as one enlarged to 200 %, too: an open list leaves the stop button free.
+    page.set_viewport_size({"width": 700, "height": 450})
+    page.wait_for_function("document.body.clientWidth === 700")
+    page.get_by_role("tab", name="Method").click()
+    page.locator("input[role=combobox]:visible").first.click()
+    page.get_by_role("option").first.wait_for()
+    listed = page.locator(".mantine-Select-dropdown:visible").bounding_box()
+    stop, record = (page.evaluate(boxes)[name] for name in ("stop", "record"))
+    assert stop["bottom"] <= listed["y"]
+    assert record["bottom"] <= page.evaluate(boxes)["tabs"][0]["top"]
+    page.keyboard.press("Tab")
+
+
+@pytest.mark.browser
+def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage):
+    tracks(page, stage)
+    # Space after a click on Pause: the button has no focus any more, and Space stops
+    page.get_by_role("button", name="Pause").click()
+    eventually(lambda: stage.mode() is Mode.PAUSED)
+    page.get_by_role("button", name="Resume").wait_for()
+    page.keyboard.press("Space")
+    stays(stage, Mode.STOPPED)
+    tracks(page, stage)
+
+    stop = page.locator("button:has(.icon-tabler-hand-stop)")
+    release = page.locator("button:has(.icon-tabler-lock-open)")
+    page.get_by_role("tab", name="Method").click()
+    text = page.locator("input[role=combobox]:visible").first
+    for key in ("Space", "Escape", "x"):
+        text.focus()
+        page.keyboard.press(key)
+        eventually(lambda: stage.mode() is Mode.STOPPED)
+        release.wait_for()
+        if key == "Space":  # and once more on the button that releases
+            release.focus()
+            page.keyboard.press(key)
+            stays(stage, Mode.STOPPED)
+        tracks(page, stage)
+
+    # the whole page says so, and each button what it does
+    page.keyboard.press("Escape")
+    page.locator('[data-mode="stopped"]').wait_for()
+    release.wait_for()
+    page.wait_for_function("document.title.includes('STOPPED')")
+    overlay = page.evaluate(
+        "(({content, position, backgroundColor, pointerEvents, inset}) => "
+        "[content, position, backgroundColor, pointerEvents, inset])"
+        "(getComputedStyle(document.body, '::after'))"
+    )
+    assert "STOPPED" in overlay[0]
+    assert overlay[1:] == ["fixed", "rgba(255, 0, 0, 0.18)", "none", "0px"]
+    assert "STOPPED" in stop.inner_text()
+    assert "(U)" in release.inner_text()
+    assert page.get_by_role("button", name="Pause").is_disabled()
+
+    page.keyboard.press("p")  # which releases nothing
+    stays(stage, Mode.STOPPED)
+    page.keyboard.press("u")
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
+    for name in ("Pause (P)", "Record (R)"):
+        page.get_by_role("button", name=name).wait_for()
+
+
+@pytest.mark.browser
+def test_on_a_phone_the_buttons_are_within_reach(page):
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.wait_for_function("document.body.clientWidth === 390")
+    for name in ("EMERGENCY STOP", "Pause", "Record"):
+        box = page.get_by_role("button", name=name).bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+        assert box["y"] + box["height"] <= 844
+
+
+def process_figures(pid: int) -> tuple[int, float]:
+    """(threads, resident memory [MB]) of a process."""
+    text = Path(f"/proc/{pid}/status").read_text()
+    words = dict(line.split(":\t", 1) for line in text.splitlines() if ":\t" in line)
+    return int(words["Threads"]), int(words["VmRSS"].split()[0]) / 1024
+
+
+@pytest.mark.weekly
+@pytest.mark.browser
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
+def test_opened_and_closed_again_and_again_nothing_is_left(chromium, served, stage):
+    pid, threads = served._process.pid, threading.active_count()
+    seen = []
+    for _ in range(4):
+        opened(chromium, served, 300, 300).close()
+        time.sleep(0.3)
+        seen.append(process_figures(pid))
+    # in the end, whenever the page gets to it; viser's pool grows to its size
+    eventually(lambda: process_figures(pid)[1] - seen[1][1] < 20.0)
+    eventually(lambda: process_figures(pid)[0] - seen[1][0] <= 4)
+    eventually(lambda: threading.active_count() <= threads)
+    assert stage.mode().moves
 
 
 def test_a_page_that_cannot_be_served_says_why(stage):

@@ -15,7 +15,6 @@ from smooth_operator import (
     HandRecording,
     Retargeter,
     SyntheticOperator,
-    method_config,
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.penetration import penetration_depths
@@ -24,7 +23,7 @@ from smooth_operator.metrics.consistency import frozen_share, motion_preservatio
 from smooth_operator.retargeting import smooth as smooth_module
 from smooth_operator.retargeting.fingertip_filter import FingertipFilterConfig
 from smooth_operator.retargeting.levenberg import damped_newton
-from smooth_operator.retargeting.smooth import SMOOTH_TELEOP, SmoothConfig
+from smooth_operator.retargeting.smooth import SMOOTH_TELEOP
 from smooth_operator.retargeting.smooth_terms import SelfCollisionConfig
 
 RATE = 115.0
@@ -56,6 +55,18 @@ def smooth() -> Retargeter:
 
 
 @pytest.fixture(scope="module")
+def bare() -> Retargeter:
+    """Without the damping of a pinch, the self-collision cost and the filter of fingertips."""
+    config = replace(
+        SMOOTH_TELEOP,
+        pinch_damping=0.0,
+        self_collision=SelfCollisionConfig(weight=0.0),
+        fingertips=FingertipFilterConfig(share=1.0),
+    )
+    return Retargeter(config=config)
+
+
+@pytest.fixture(scope="module")
 def motion(hand) -> HandRecording:
     """Within the robot's reach, and back: 150 frames."""
     low, high = hand.limits.T
@@ -83,7 +94,7 @@ def test_it_follows_and_never_freezes(hand, motion, answer):
     assert np.median(apart) < 0.004
 
 
-def test_a_pinch_moves_less_and_opens_on_time(hand):
+def test_a_pinch_moves_less_and_opens_on_time(smooth, bare, hand):
     still = landmarks_of(hand, np.tile(hand.neutral, (140, 1)))
     t = np.arange(140) / RATE
     closed = np.clip(t / 0.3, 0, 1) * np.clip((1.0 - t) / 0.1, 0, 1)
@@ -99,9 +110,8 @@ def test_a_pinch_moves_less_and_opens_on_time(hand):
     def span(points: np.ndarray) -> float:
         return float(np.linalg.norm(np.ptp(points[held], axis=0)))
 
-    undamped = Retargeter(config=replace(SMOOTH_TELEOP, pinch_damping=0.0))
-    follows = hand.tips(commands(undamped, recording(still)))
-    holds = hand.tips(commands(Retargeter(method="smooth"), recording(still)))
+    follows = hand.tips(commands(bare, recording(still)))
+    holds = hand.tips(commands(smooth, recording(still)))
     assert span(holds[:, :2].mean(axis=1)) < 0.85 * span(follows[:, :2].mean(axis=1))
     assert span(holds[:, 3]) > 0.8 * span(follows[:, 3])  # the ring finger is free
     gap = np.linalg.norm(holds[:, 1] - holds[:, 0], axis=-1)
@@ -192,7 +202,13 @@ POSES = SyntheticOperator(seed=3, rate_hz=10).record(30.0).landmarks
 
 @pytest.mark.parametrize(
     "pair",
-    [(201, 241), (39, 13), (198, 18), (287, 166), (56, 19), (91, 5), (233, 212), (230, 4)],
+    [
+        *[(201, 241), (39, 13), (198, 18)],
+        *(
+            pytest.param(pair, marks=pytest.mark.weekly)
+            for pair in [(287, 166), (56, 19), (91, 5), (233, 212), (230, 4)]
+        ),
+    ],
 )
 def test_one_slip_of_the_tracker_does_not_last(leap, pair):
     """It jumps to another pose and stays there: 1.5 s later the hand is where it would have begun.
@@ -209,7 +225,7 @@ def test_labels_of_fingers_that_swap_for_a_moment_leave_nothing(leap):
     later the fingertips are nearly where they would be. They used to be up to 39 mm off."""
     swapped = np.r_[0:5, 17:21, 13:17, 9:13, 5:9]
     moving = SyntheticOperator(seed=3).record(6.0).landmarks
-    for at in (250, 325, 400):
+    for at in (250, 400):
         right, wrong = moving[at - 60 : at + 101], moving[at - 60 : at + 101].copy()
         wrong[60:65] = wrong[60:65][:, swapped]
         ends = [leap.hand.tips(commands(leap, recording(p, 100.0))[-1]) for p in (right, wrong)]
@@ -257,13 +273,13 @@ def test_a_refused_frame_is_not_solved(descents):
 
 def test_the_steps_of_a_frame_are_bounded_whatever_comes(descents):
     rng = np.random.default_rng(0)
-    poses = POSES[rng.integers(len(POSES), size=150)] + rng.normal(0, 0.004, (150, 21, 3))
-    after_gaps = HandRecording(poses, np.arange(150) * 0.3, "right")
+    poses = POSES[rng.integers(len(POSES), size=60)] + rng.normal(0, 0.004, (60, 21, 3))
+    after_gaps = HandRecording(poses, np.arange(60) * 0.3, "right")
     for frames in (after_gaps, recording(poses)):
         steps = steps_of(descents, frames)
         assert max(map(sum, steps)) <= 4 * SMOOTH_TELEOP.iterations
     # a hand that moves on pays for one descent, and hardly any step
-    steadily = SyntheticOperator(seed=1).record(1.5)
+    steadily = SyntheticOperator(seed=1).record(0.8)
     usual = steps_of(descents, steadily)[1:]
     assert max(map(len, usual)) == 1
     assert np.median([sum(each) for each in usual]) <= 6
@@ -271,15 +287,13 @@ def test_the_steps_of_a_frame_are_bounded_whatever_comes(descents):
 
 def test_after_a_gap_nothing_of_the_past_counts(leap):
     """Once an operator's lengths are known, a frame after a gap has one answer."""
-    known = [POSES[i] for i in np.random.default_rng(2).integers(len(POSES), size=200)]
-    ends = []
+    known, ends = leap.init(), []
+    for i, pose in enumerate(np.random.default_rng(2).integers(len(POSES), size=200)):
+        known, _ = leap.step(known, HandFrame(POSES[pose], i / 100))
     for last in (POSES[10], POSES[150], POSES[260]):
-        poses = np.stack([*known, *[last] * 10, POSES[80]])
-        stamps = np.arange(len(poses)) / 100.0
-        stamps[-1] += 1.0
-        state = leap.init()
-        for points, stamp in zip(poses, stamps, strict=True):
-            state, _ = leap.step(state, HandFrame(points, stamp))
+        state = known
+        for i, points in enumerate([*[last] * 10, POSES[80]]):
+            state, _ = leap.step(state, HandFrame(points, 2.0 + i / 100 + (i == 10)))
         ends.append(np.asarray(state.method.q))
     np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=0.02)
 
@@ -313,12 +327,9 @@ def crossing(hand: Hand) -> HandRecording:
     return recording(landmarks)
 
 
-def test_the_self_collision_cost_keeps_fingers_out_of_each_other(smooth, hand):
+def test_the_self_collision_cost_keeps_fingers_out_of_each_other(smooth, bare, hand):
     frames = crossing(hand)
-    config = method_config("smooth")
-    assert isinstance(config, SmoothConfig)
-    without = Retargeter(config=replace(config, self_collision=SelfCollisionConfig(weight=0.0)))
-    deep, clear = (penetration_depths(hand, commands(r, frames)) for r in (without, smooth))
+    deep, clear = (penetration_depths(hand, commands(r, frames)) for r in (bare, smooth))
     assert deep.max() > 0.004
     assert clear.max() < 0.0025
 
@@ -337,14 +348,3 @@ def test_a_pinch_closes(smooth, hand):
     assert np.linalg.norm(tips[0] - tips[1]) < 0.008
     depth = penetration_depths(hand, q)
     assert depth.max() < 0.0025
-
-
-def test_every_term_can_be_left_out(motion):
-    bare = SmoothConfig(
-        motion_weight=0.0,
-        motion_speed=1e9,
-        self_collision=SelfCollisionConfig(weight=0.0),
-        fingertips=FingertipFilterConfig(share=1.0),
-    )
-    result = commands(Retargeter(config=bare), motion[0:10])
-    assert np.isfinite(result).all()
