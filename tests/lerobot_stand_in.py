@@ -4,6 +4,7 @@ Where LeRobot is installed, the plug-ins get the real one.
 """
 
 import abc
+import enum
 import importlib.util
 import sys
 from dataclasses import dataclass
@@ -117,6 +118,11 @@ def _modules() -> dict[str, ModuleType]:
         "lerobot.cameras.utils": {"make_cameras_from_configs": lambda configs: {}},
         "lerobot.teleoperators": {},
         "lerobot.teleoperators.config": {"TeleoperatorConfig": TeleoperatorConfig},
+        "lerobot.teleoperators.utils": {
+            "TeleopEvents": enum.Enum(
+                "TeleopEvents", "SUCCESS FAILURE RERECORD_EPISODE IS_INTERVENTION TERMINATE_EPISODE"
+            )
+        },
         "lerobot.teleoperators.teleoperator": {"Teleoperator": teleoperator},
         "lerobot.robots": {},
         "lerobot.robots.config": {"RobotConfig": RobotConfig},

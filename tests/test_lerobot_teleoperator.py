@@ -19,6 +19,7 @@ from ticks import make_tick
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.sinks.sink import key_help, sink_keys
 from smooth_operator.teleop.sinks.tick import ArmCommand
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink, command_message
 
@@ -507,6 +508,49 @@ def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):
     without = {key: value for key, value in step(wide).items() if key not in POSE}
     with pytest.raises(ValueError, match=r"expected the keys tcp.x to tcp.qz .*wrist=quaternion"):
         gripper.action(without)
+
+
+def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
+    """Each key counts once; keys from before the connection count for nobody."""
+    from lerobot.teleoperators.utils import TeleopEvents
+
+    sink, said = ZmqSink(), []
+    reporter = SimpleNamespace(note=lambda text, matters: said.append(text))
+    press = sink_keys([sink], reporter)
+    now = session(joints=JOINTS)
+    send = now.send
+    now.send = lambda **more: send(episode=dict(sink.pressed_keys), **more)
+    assert not any(now.device.get_teleop_events().values())
+    press["s"]()
+    now.device.connect()
+    names = ("IS_INTERVENTION", "SUCCESS", "TERMINATE_EPISODE", "RERECORD_EPISODE")
+
+    def events(key: str = "", mode: str = "tracking") -> str:
+        if key:
+            press[key]()
+        now.clock.now += 0.03
+        now.send(mode=mode)
+        found = now.device.get_teleop_events()
+        return "".join(str(int(found[TeleopEvents[name]])) for name in names)
+
+    assert [events(), events("s"), events()] == ["1000", "1100", "1000"]
+    assert [events("e", "paused"), events("", "paused")] == ["0010", "0000"]
+    assert events("a", "blending") == "1011"
+    now.clock.now += 5.0  # nothing comes any more
+    assert not any(now.device.get_teleop_events().values())
+    assert said == [f"episode: {what}" for what in ("success", "success", "end", "again")]
+    assert key_help([sink, sink]) == "   s: episode: success   e: episode: end   a: episode: again"
+
+
+@pytest.mark.lerobot
+@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+def test_hil_serl_takes_the_events(session):
+    from lerobot.processor import AddTeleopEventsAsInfoStep
+    from lerobot.teleoperators.utils import TeleopEvents
+
+    now = session(joints=JOINTS)
+    now.device.connect()
+    assert AddTeleopEventsAsInfoStep(now.device).info({})[TeleopEvents.IS_INTERVENTION]
 
 
 @pytest.mark.lerobot

@@ -230,6 +230,7 @@ def test_zmq_says_all_of_a_command(hands, listen):
     sink.open(hands, {})
     socket = listen(sink.address, b'{"side":"left"')
     tick = make_tick(hands["left"], 3, mode=Mode.BLENDING)
+    sink.keys["s"][1]()
     _until_heard(sink, socket, make_tick(hands["left"], 2))
     sink.send(make_tick(hands["right"], 9))  # not subscribed to
     sink.send(tick)
@@ -249,6 +250,8 @@ def test_zmq_says_all_of_a_command(hands, listen):
         "stamp": tick.command.stamp,
         "time": tick.time,
         "valid_for_s": 0.15,
+        "landmarks": tick.arrival.frame.landmarks.tolist(),
+        "episode": {"success": 1, "end": 0, "again": 0},
     }
     sink.stalled(0.25)
     stalled = json.loads(socket.recv())

@@ -6,8 +6,8 @@ import json
 import math
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ class Command:
         sent: time at which it was sent, estimated in terms of this process's clock [s].
         landmarks: (21, 3) the human hand that it was computed from [m], NaN where a landmark was
             lost; None without a hand.
+        episode: how often each key for the episode was pressed: ``success``, ``end``, ``again``.
         operator_wrist: (7,) the human wrist: x y z [m], quaternion w x y z; None if it is unknown.
     """
 
@@ -47,6 +48,7 @@ class Command:
     sent: float
     landmarks: np.ndarray | None = None
     operator_wrist: tuple[float, ...] | None = None
+    episode: Mapping[str, int] = field(default_factory=dict)
 
 
 class _Lateness:
@@ -173,6 +175,7 @@ class Newest:
             arrived - lateness,
             _landmarks(message.get("landmarks")),
             _wrist(operator if operator.get("pose") else None),
+            {str(name): int(count) for name, count in message.get("episode", {}).items()},
         )
 
 

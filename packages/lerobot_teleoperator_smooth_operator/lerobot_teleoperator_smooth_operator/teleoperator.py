@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from lerobot.teleoperators.teleoperator import Teleoperator
+from lerobot.teleoperators.utils import TeleopEvents
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_teleoperator_smooth_operator.commands import Command, Newest
@@ -25,6 +26,12 @@ from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
 
 logger = logging.getLogger(__name__)
+
+_EPISODE = ("success", "end", "again")
+"""What the keys of ``teleop`` say about an episode."""
+
+_MOVING = ("tracking", "blending")
+"""Modes of the loop in which the operator moves the robot."""
 
 _OWN_HAND = "mimic_p050"
 """Robot hand of a loop in this process, if the settings name none."""
@@ -165,6 +172,7 @@ class SmoothOperator(Teleoperator):
         self._feed: Feed | None = None
         self._fresh_at: dict[str, float] = {}
         self._warned = False
+        self._pressed = dict.fromkeys(_EPISODE, 0)
         self._human: HumanHands | None = None
         if config.human:
             self._human = HumanHands([hand.side for hand in self._hands])
@@ -247,6 +255,7 @@ class SmoothOperator(Teleoperator):
             feed.close()
             raise
         self._feed = feed
+        self.get_teleop_events()  # keys that were pressed before count for nobody
 
     def get_action(self) -> dict[str, float]:
         """Return the newest command in the robot's keys and units, without waiting.
@@ -284,6 +293,31 @@ class SmoothOperator(Teleoperator):
         """Side -> mode of the loop for that hand: ``tracking``, ``holding``, ..."""
         found = {side: self._newest.command(side) for side in self._newest.sides}
         return {side: command.mode for side, command in found.items() if command is not None}
+
+    def get_teleop_events(self) -> dict[TeleopEvents, bool]:
+        """Events since the last call, for LeRobot's loops with a human in them.
+
+        The operator intervenes while a hand follows them (``p`` in ``teleop`` pauses it). The keys
+        ``s``, ``e`` and ``a`` in the terminal of ``teleop`` mean success, end of the episode, and
+        end with a new recording.
+        """
+        found = [self._newest.command(hand.side) for hand in self._hands]
+        commands = [
+            command
+            for hand, command in zip(self._hands, found, strict=True)
+            if command is not None and self._feed is not None and not self._stale(hand, command)
+        ]
+        pressed = dict.fromkeys(_EPISODE, 0)
+        for command in commands:
+            pressed |= {name: max(pressed.get(name, 0), n) for name, n in command.episode.items()}
+        before, self._pressed = self._pressed, pressed if commands else self._pressed
+        new = {name: self._pressed[name] > before[name] for name in _EPISODE}
+        return {
+            TeleopEvents.IS_INTERVENTION: any(each.mode in _MOVING for each in commands),
+            TeleopEvents.TERMINATE_EPISODE: new["end"] or new["again"],
+            TeleopEvents.SUCCESS: new["success"],
+            TeleopEvents.RERECORD_EPISODE: new["again"],
+        }
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Nothing to do."""

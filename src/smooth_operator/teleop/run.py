@@ -49,7 +49,7 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import going_first, low_jitter
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, key_help, sink_keys
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.combined import CombinedSource
 from smooth_operator.teleop.sources.live import LiveSource, source_gaps
@@ -357,7 +357,12 @@ class _Run:
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            keyboard(loop, reporter, trials.keys, trials.key_help)
+            keyboard(
+                loop,
+                reporter,
+                {**sink_keys(sinks, reporter), **trials.keys},
+                trials.key_help + key_help(sinks),
+            )
             if self.attended
             else contextlib.nullcontext(),
             _remote(loop, teleop.control, handlers, reporter),

@@ -7,10 +7,11 @@ model, finishing a file), so both happen on a separate thread, and the loop does
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol, TypeAlias
 
@@ -19,6 +20,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.reporter import Reporter
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sources.live import Clock
 from smooth_operator.types import Side
@@ -52,6 +54,11 @@ class Sink(ABC):
     def note(self) -> str:
         """Note for the user, such as a warning; empty if there is nothing to say."""
         return ""
+
+    @property
+    def keys(self) -> Mapping[str, tuple[str, Callable[[], None]]]:
+        """Key of the terminal -> its meaning, and its action, which runs on another thread."""
+        return {}
 
     @property
     def simulation(self) -> LiveSimulation | None:
@@ -170,6 +177,23 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Close the connection."""
+
+
+def sink_keys(sinks: Sequence[Sink], reporter: Reporter) -> dict[str, Callable[[], None]]:
+    """Actions of the keys of sinks; each runs those of all sinks that have the key."""
+
+    def press(key: str) -> None:
+        for words, action in [sink.keys[key] for sink in sinks if key in sink.keys]:
+            action()
+            reporter.note(words, matters=True)
+
+    return {key: functools.partial(press, key) for sink in sinks for key in sink.keys}
+
+
+def key_help(sinks: Sequence[Sink]) -> str:
+    """Description of the keys of sinks."""
+    words = {key: meaning for sink in sinks for key, (meaning, _) in sink.keys.items()}
+    return "".join(f"   {key}: {meaning}" for key, meaning in words.items())
 
 
 class ThreadedSink(Sink):

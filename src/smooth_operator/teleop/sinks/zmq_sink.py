@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
@@ -20,6 +21,9 @@ from smooth_operator.web.addresses import is_zmq_address
 
 FORMAT: Final = 1
 """Version of the messages."""
+
+EPISODE_KEYS: Final = {"s": "success", "e": "end", "a": "again"}
+"""Keys of the terminal -> what they say about the episode that a receiver records."""
 
 _WAITING_MESSAGES: Final = 4
 """Largest number of messages that wait for a slow subscriber; older ones are outdated."""
@@ -38,6 +42,7 @@ class ZmqSink(ThreadedSink):
     Attributes:
         address: address for subscribers; the default can be reached from this machine only.
         valid_for_s: time for which a command is valid [s].
+        pressed_keys: meaning of each of ``keys`` -> how often it was pressed.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -45,6 +50,12 @@ class ZmqSink(ThreadedSink):
 
     address: str = "tcp://127.0.0.1:5556"
     valid_for_s: float = 0.2
+    pressed_keys: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys(EPISODE_KEYS.values(), 0),
+        init=False,
+        repr=False,
+        compare=False,
+    )
 
     def __post_init__(self) -> None:
         if not is_zmq_address(self.address):
@@ -61,6 +72,18 @@ class ZmqSink(ThreadedSink):
     def label(self) -> str:
         """``zmq`` and the address."""
         return f"zmq {self.address}"
+
+    @property
+    def keys(self) -> Mapping[str, tuple[str, Callable[[], None]]]:
+        """Keys for the episode that a receiver, such as LeRobot, records."""
+
+        def press(meaning: str) -> None:
+            self.pressed_keys[meaning] += 1
+
+        return {
+            key: (f"episode: {meaning}", functools.partial(press, meaning))
+            for key, meaning in EPISODE_KEYS.items()
+        }
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
         """Open the socket."""
@@ -82,7 +105,7 @@ class ZmqSink(ThreadedSink):
                 "or end the program that uses it"
             ) from error
         names = {side: hand.name for side, hand in hands.items()}
-        return _Publisher(context, socket, names, self.valid_for_s)
+        return _Publisher(context, socket, names, self.valid_for_s, self.pressed_keys)
 
 
 def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
@@ -175,15 +198,22 @@ class _Publisher:
     """The open socket; only the sink's own thread uses it."""
 
     def __init__(
-        self, context: Any, socket: Any, hands: Mapping[Side, str], valid_for_s: float
+        self,
+        context: Any,
+        socket: Any,
+        hands: Mapping[Side, str],
+        valid_for_s: float,
+        pressed_keys: Mapping[str, int],
     ) -> None:
         self._context, self._socket = context, socket
         self._hands, self._valid_for_s = hands, valid_for_s
+        self._pressed_keys = pressed_keys
         self._states: dict[Side, HandState] = {}  # the last that was published
 
     def deliver(self, tick: Tick) -> None:
         """Publish a command, and the hand's measured state if it is new."""
-        self._socket.send(encode(command_message(tick, self._valid_for_s)))
+        message = command_message(tick, self._valid_for_s)
+        self._socket.send(encode({**message, "episode": dict(self._pressed_keys)}))
         state = tick.state
         if state is not None and state is not self._states.get(tick.side):
             self._states[tick.side] = state
