@@ -17,7 +17,7 @@ from smooth_operator.datasets import another_hand
 from smooth_operator.datasets.another_hand import retarget_dataset
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.episode_files.lerobot import open_dataset, write_dataset
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.execution import execute
 from smooth_operator.formats.episode import Episode
 from smooth_operator.planning import RetargetRequest, make_request, plan
@@ -188,4 +188,6 @@ def test_what_can_not_be_retargeted(source, tmp_path, takes):
     unseen = replace(takes[0].recording, valid=np.zeros((len(takes[0].recording), 21), bool))
     write_dataset(tmp_path / "unseen", [lambda: replace(takes[0], recording=unseen)])
     refused(tmp_path / "unseen", "no human hand is seen in any frame; delete the episode")
+    with pytest.raises(OutputError, match="it already exists; choose another name, or remove it"):
+        retarget_dataset(source, robot, request(NEW))
     assert main(f"retarget --dataset {tmp_path / 'none'} --output {tmp_path / 'new'}".split()) == 2

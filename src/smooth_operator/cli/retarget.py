@@ -189,11 +189,6 @@ def retarget_lerobot(options: Retarget, name: str) -> None:
     for option in unused:
         if getattr(options, option) is not None:
             raise ConfigError(f"{option} can't be used with --dataset; leave it out")
-    if options.output.exists():
-        raise OutputError(
-            f"can't write {str(options.output)!r}: it already exists; choose another name, or "
-            "remove it first"
-        )
     source, progress = find_dataset(name), Progressing(options.quiet)
     request = requested(options, side=options.side, wrist_joints=options.wrist_joints != "off")
     start_jax(one_thread=False)

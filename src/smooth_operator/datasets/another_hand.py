@@ -24,7 +24,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from smooth_operator.atomic_files import claimed, write_json
+from smooth_operator.atomic_files import claimed, output_error, write_json
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.writers.lerobot import place
@@ -41,6 +41,7 @@ from smooth_operator.episode_files.lerobot.schema import dataset_features, joint
 from smooth_operator.episode_files.lerobot.tables import (
     OWN_COLUMN,
     Statistics,
+    arrow,
     column,
     columns_statistics,
     joint_statistics,
@@ -49,7 +50,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     read_table,
 )
 from smooth_operator.episode_files.lerobot.writer import MARK, PROGRAM, dataset_readme
-from smooth_operator.errors import RecordingError, SmoothOperatorError, listed
+from smooth_operator.errors import OutputError, RecordingError, SmoothOperatorError, listed
 from smooth_operator.formats.foreign import foreign_dataset, is_dataset
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.planning import RetargetRequest
@@ -118,6 +119,10 @@ def retarget_dataset(
         SmoothOperatorError: the data set has no human hand, or not that of the requested side; an
             episode can't be retargeted; or the folder can't be written.
     """
+    if output.exists():
+        raise OutputError(
+            f"can't write {str(output)!r}: it already exists; choose another name, or remove it"
+        )
     reporter = Reporter() if reporter is None else reporter
     dataset, sides = _checked(source, request)
     layout = _Layout.of(dataset, sides, request)
@@ -148,8 +153,9 @@ def retarget_dataset(
                     }
         provenance = _provenance(dataset, configuration)
         _write_meta(dataset, stage, layout, parts, provenance)
-        for video in sorted((source / "videos").rglob("*.mp4")):
-            place(video, stage / video.relative_to(source), videos)
+        for video in (source / "videos").rglob("*"):
+            if video.is_file():
+                place(video, stage / video.relative_to(source), videos)
         shutil.rmtree(stage / ".parts")
         stage.rename(output)
     return provenance
@@ -278,14 +284,17 @@ def _stage(output: Path, key: str) -> Iterator[Path]:
     anew."""
     stage = output.with_name(f".{output.name}.unfinished")
     mark = stage / ".parts" / "key.json"
-    stage.mkdir(exist_ok=True)
-    with claimed(stage):
-        if not mark.is_file() or read_json(mark) != key:
-            for item in stage.iterdir():
-                shutil.rmtree(item) if item.is_dir() else item.unlink()
-            mark.parent.mkdir()
-            write_json(mark, key)
-        yield stage
+    try:
+        stage.mkdir(exist_ok=True)
+        with claimed(stage):
+            if not mark.is_file() or read_json(mark) != key:
+                for item in stage.iterdir():
+                    shutil.rmtree(item) if item.is_dir() else item.unlink()
+                mark.parent.mkdir()
+                write_json(mark, key)
+            yield stage
+    except OSError as error:
+        raise output_error(output, error) from error
 
 
 def _write_file(
@@ -304,9 +313,10 @@ def _write_file(
     table = read_table(file)
     statistics: dict[int, Any] = {}
     configuration: dict[str, Any] = {}
-    writer: Any = None
-    for begin in range(0, len(episodes), _BATCH):
-        block = episodes[begin : begin + _BATCH]
+    tables = []
+    size = 1 if recipe.one_by_one else _BATCH
+    for begin in range(0, len(episodes), size):
+        block = episodes[begin : begin + size]
         read = [read_dataset_clip(dataset, number, table) for number in block]
         done = retarget_clips([clip for clip, _ in read], recipe)
         for number, (clip, rows), made in zip(block, read, done, strict=True):
@@ -317,19 +327,16 @@ def _write_file(
                 ) from made
             configuration = configuration or dict(made.config)
             columns = layout.columns(made, rows, file)
-            new = rows.select([name for name in rows.column_names if name in layout.features])
-            for name, values in columns.items():
-                at = new.column_names.index(name) if name in new.column_names else new.num_columns
-                put = new.set_column if at < new.num_columns else new.add_column
-                new = put(at, name, column(values))
-            new = new.replace_schema_metadata(None)  # LeRobot's library lists the former columns
-            if writer is None:
-                writer = parquet().ParquetWriter(target, new.schema)
-            writer.write_table(new, row_group_size=new.num_rows)
             found = columns_statistics(columns)
             statistics[number] = {name: part.to_json() for name, part in found.items()}
+            new = {name: rows.column(name) for name in rows.column_names if name in layout.features}
+            tables.append(
+                arrow().table(new | {name: column(values) for name, values in columns.items()})
+            )
             advance(len(clip), label=clip.name)
-    writer.close()
+    with parquet().ParquetWriter(target, tables[0].schema) as writer:
+        for each in tables:
+            writer.write_table(each, row_group_size=each.num_rows)
     write_json(record, {"configuration": configuration, "episodes": statistics})
 
 

@@ -548,7 +548,8 @@ def _lerobot(path: Path) -> str:
         return f"this is {foreign}"
     return (
         "this is a LeRobot data set; convert its episodes first, and use their folder: "
-        f"smooth-operator convert {path} --to npz --output episodes"
+        f"smooth-operator convert {path} --to npz --output episodes; or keep the data set, with "
+        f"the actions of another robot hand: smooth-operator retarget --dataset {path}"
     )
 
 

@@ -515,6 +515,7 @@ def _is_a_folder(path: Path) -> RecordingError:
             return RecordingError(f"{path}: this is {foreign}")
         return RecordingError(
             f"{path}: this is a LeRobot dataset; convert one of its episodes first: "
-            f"smooth-operator convert {path} --episode 0 --output episode.npz"
+            f"smooth-operator convert {path} --episode 0 --output episode.npz; or derive the "
+            f"actions of another robot hand: smooth-operator retarget --dataset {path}"
         )
     return RecordingError(f"{path}: this is a folder; name one of the files in it")
