@@ -225,9 +225,11 @@ def trusting_anyone() -> ssl.SSLContext:
 class Host:
     """A started source and its mailbox."""
 
-    def __init__(self) -> None:
+    def __init__(self, pulses: bool = False) -> None:
         self.mailbox = Mailbox()
         self.source = WebXr(port=0, code=CODE)
+        if pulses:
+            self.source.expect_pulses()
         self.source.start(self.mailbox)
         (self.address,) = self.source.addresses
         self.port = int(self.address.rsplit(":", 1)[1])
@@ -263,8 +265,8 @@ class Host:
 
 
 @contextmanager
-def hosting() -> Iterator[Host]:
-    started = Host()
+def hosting(pulses: bool = False) -> Iterator[Host]:
+    started = Host(pulses)
     try:
         yield started
     finally:
@@ -735,6 +737,43 @@ class RightHand:
         """Waits until the page has handled frames of 0.5 s, as many as it has time for."""
         now = self._page.evaluate("performance.now() / 1000")
         self.after(self.after(now + 0.5).stamp)
+
+
+@pytest.mark.browser
+def test_controllers_beside_tracked_hands_vibrate(cache, chromium, emulator):
+    """The emulated headset has actuators, but not the list of sources beside the hands."""
+    with hosting(pulses=True) as host:
+        host.source.pulse("right", 0.4, 0.1)  # nobody is there
+        page = new_headset(chromium, emulator)
+        page.goto(f"{host.address}/#{CODE}")
+        shows(page, "linked")
+        page.evaluate("""() => {
+          window.pulses = [];
+          const ask = navigator.xr.requestSession.bind(navigator.xr);
+          navigator.xr.requestSession = async (mode, options) => {
+            window.asked = options.optionalFeatures;
+            const session = await ask(mode, options);
+            const beside = Object.values(headset.controllers).map((each) => each.inputSource);
+            for (const { handedness, gamepad } of beside) {
+              gamepad.hapticActuators[0].pulse = (...values) => {
+                window.pulses.push([handedness, ...values]);
+                return Promise.reject(new Error('the battery is low'));
+              };
+            }
+            Object.defineProperty(session, 'trackedSources', { value: beside });
+            return session;
+          };
+        }""")
+        host.source.pulse("right", 0.4, 0.1)  # no session yet
+        page.click("#start")
+        host.arrival("right")
+        assert "tracked-sources" in page.evaluate("asked")
+        felt = [["right", 0.4, 100], ["left", 0.25, 100], ["right", 0, 100]]
+        for number, (side, strength, _) in enumerate(felt, 1):
+            host.source.pulse(side, strength, 0.1)
+            eventually(lambda number=number: page.evaluate("pulses.length") >= number)
+        assert page.evaluate("pulses") == felt
+        page.context.close()
 
 
 @pytest.mark.browser

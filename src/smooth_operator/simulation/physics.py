@@ -197,6 +197,26 @@ def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
     return [(model.body(a).name, model.body(b).name) for a, b in sorted(pairs) if a]
 
 
+def finger_bodies(
+    hand: Hand, model: mujoco.MjModel, prefix: str = FURNISHED
+) -> Int[np.ndarray, " b"]:
+    """(b,) number of the finger that each body belongs to, thumb first; -1 for all other bodies.
+
+    Args:
+        prefix: prefix of the hand's names in the model.
+    """
+    palm = model.body(prefix + hand.spec.palm).id
+    numbers = np.full(model.nbody, -1)
+    for number, finger in enumerate(hand.spec.fingers):
+        body = model.body(prefix + finger.tip.body).id
+        while body not in (palm, 0):
+            numbers[body] = number if numbers[body] < 0 else numbers[body]
+            body = int(model.body_parentid[body])
+    for body, parent in enumerate(model.body_parentid):  # parents come first
+        numbers[body] = numbers[parent] if numbers[body] < 0 else numbers[body]
+    return numbers
+
+
 _RUNAWAY = 500.0
 """Joint velocity above which the simulation counts as diverged [rad/s]."""
 
@@ -239,7 +259,10 @@ class HandPhysics:
         self._built = build_physics(
             hand, timestep=timestep, bandwidth=bandwidth, gravity=gravity, furnish=furnish
         )
-        self._data = mujoco.MjData(self._built.model)
+        model = self._built.model
+        self._data = mujoco.MjData(model)
+        bodies = finger_bodies(hand, model, "" if furnish is None else FURNISHED)
+        self._finger_of_geom = bodies[model.geom_bodyid]
         self.carried = carried
         self._arm = None if carried is None else carried.addresses(self._built.model)
         self._home = np.zeros(0) if carried is None else carried.home
@@ -291,6 +314,19 @@ class HandPhysics:
     def contacts(self) -> int:
         """Number of contacts."""
         return int(self._data.ncon)
+
+    @property
+    def finger_forces(self) -> Float[np.ndarray, " f"]:
+        """(f,) normal force on each finger, thumb first [N]: of objects, palm and other fingers."""
+        forces = np.zeros(len(self.hand.fingers) + 1)  # the last one: of all other bodies
+        wrench = np.zeros(6)
+        for index in range(self._data.ncon):
+            contact = self._data.contact[index]
+            one, two = self._finger_of_geom[contact.geom]
+            if one != two and contact.efc_address >= 0:
+                mujoco.mj_contactForce(self._built.model, self._data, index, wrench)
+                forces[[one, two]] += wrench[0]
+        return forces[:-1]
 
     def command(self, positions: Float[np.ndarray, " n"]) -> None:
         """Set the servos' targets.

@@ -27,6 +27,7 @@ from smooth_operator.plugins import Entry, Registry
 from smooth_operator.settings import LARGEST
 
 if TYPE_CHECKING:
+    from smooth_operator.teleop.sinks.feedback import Feedback
     from smooth_operator.teleop.sinks.sink import Sink
     from smooth_operator.teleop.sources.live import LiveSource
     from smooth_operator.teleop.sources.stream import Hands
@@ -317,6 +318,27 @@ SINKS: Final = Registry(
     summaries={name: _summary(*part) for name, part in _DEVICE_SINKS.items()},
 )
 """Registry of sinks: dataclasses of settings (``Sink``)."""
+
+
+FEEDBACK: Final = Registry(
+    "feedback",
+    {
+        "zmq": Entry(
+            f"{_SINKS}.feedback:ZmqFeedback", "messages for a glove over ZeroMQ (zmq extra)"
+        ),
+        "udp": Entry(f"{_SINKS}.feedback:UdpFeedback", "the same over UDP: udp:HOST:PORT"),
+        "webxr": Entry(f"{_SINKS}.feedback:WebXrFeedback", "pulses of the headset's controllers"),
+    },
+    needs=SINKS.needs,
+    advice="derive the class from smooth_operator.teleop.Sink",
+)
+"""Registry of outputs of feedback: dataclasses of settings (``Feedback``)."""
+
+
+def build_feedback(text: str) -> Feedback:
+    """Create an output of feedback from a text such as ``udp:127.0.0.1:9000,strength=0.3``; errors
+    as ``build_sink``."""
+    return cast("Feedback", build_component(FEEDBACK, text))
 
 
 def build_sink(text: str) -> Sink:

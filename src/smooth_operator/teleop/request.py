@@ -26,6 +26,10 @@ class TeleopRequest(MethodRequest):
     sink: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
     """Sinks that receive the commands, besides the page."""
 
+    feedback: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
+    """Outputs of contact for the operator's fingers: zmq:ADDRESS, udp:HOST:PORT, webxr
+    (docs/how-to/feedback.md)."""
+
     task: Literal["card", "cube", "screwdriver"] | None = None
     """Task of the study to simulate around the hand: card pickup, vertical cube rotation or
     screwdriver pivot. Keys: g starts a trial, r resets the object, d ends the trial. --control

@@ -37,7 +37,7 @@ from smooth_operator.retargeting.presets import default_preset, method_names
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
-from smooth_operator.teleop.components import build_sink, build_source
+from smooth_operator.teleop.components import build_feedback, build_sink, build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, summarise
 from smooth_operator.teleop.control.rpc import RpcHandlers
@@ -146,6 +146,14 @@ def teleoperate(
     source = build_source(request.source, side) if source is None else source
     if request.wrist_source is not None:
         source = _with_wrist(source, request.wrist_source, sides, operator, reporter)
+    feedback = [build_feedback(text) for text in request.feedback]
+    for output in feedback:
+        output.use_source(source)
+    commanded = [build_sink(sink) if isinstance(sink, str) else sink for sink in texts]
+    if feedback and not any(sink.measures for sink in commanded):
+        raise ConfigError(
+            "--feedback needs a sink that measures contact, such as --sink mujoco or a real hand"
+        )
     run = _Run(
         request,
         retarget,
@@ -154,7 +162,7 @@ def teleoperate(
         sides=sides,
         source=source,
         sink_texts=texts,
-        sinks=[build_sink(sink) if isinstance(sink, str) else sink for sink in texts],
+        sinks=[*commanded, *feedback],
         arm=None if request.arm is None else read_arm(request.arm),
         stop=StopInput(request.estop) if stop is None and request.estop is not None else stop,
         attended=keys and bool(sys.stdin) and sys.stdin.isatty(),
@@ -301,6 +309,7 @@ class _Run:
             pinch_gaps={side: retargeter.known_gaps for side, retargeter in retargeters.items()},
             source=source if dataclasses.is_dataclass(source) else source.label,
             sinks=[sink if isinstance(sink, str) else sink.label for sink in self.sink_texts],
+            feedback=list(teleop.feedback),
             loop=config,
             arm=self.arm,
         )

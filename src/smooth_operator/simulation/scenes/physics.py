@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import CarriedHand, WristKinematics
-from smooth_operator.simulation.physics import FURNISHED, HandPhysics
+from smooth_operator.simulation.physics import FURNISHED, HandPhysics, finger_bodies
 from smooth_operator.simulation.scenes.scene import (
     OBJECT,
     Scene,
@@ -149,22 +149,13 @@ def finger_geoms(hand: Hand, model: mujoco.MjModel) -> list[list[int]]:
 
 def _owners(hand: Hand, model: mujoco.MjModel) -> Int[np.ndarray, " g"]:
     """(g,) number of the finger of each shape, or ``_PALM``, ``_REST`` or ``_OBJECT``."""
-    palm = model.body(FURNISHED + hand.spec.palm).id
-    finger_of: dict[int, int] = {}
-    for number, finger in enumerate(hand.spec.fingers):
-        body = model.body(FURNISHED + finger.tip.body).id
-        while body not in (palm, 0):
-            finger_of.setdefault(body, number)
-            body = int(model.body_parentid[body])
-    owners = np.full(model.ngeom, _REST)
+    fingers, owners = finger_bodies(hand, model), np.full(model.ngeom, _REST)
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
         if model.body(body).name == OBJECT:
             owners[geom] = _OBJECT
         elif model.body(body).name.startswith(FURNISHED):
-            while body and body not in finger_of:
-                body = int(model.body_parentid[body])
-            owners[geom] = finger_of.get(body, _PALM)
+            owners[geom] = _PALM if fingers[body] < 0 else fingers[body]
     return owners
 
 

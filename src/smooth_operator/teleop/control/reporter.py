@@ -100,6 +100,12 @@ def summarise(
     for side, delay in summary["motion_delay_ms"].items():
         if delay is not None:
             reporter.note(f"{side}: {delay:.0f} ms from command to measured motion")
+    for sink in sinks:
+        if delay := sink.figures.get("feedback_delay_ms"):
+            reporter.note(
+                f"{sink.label}: {sink.figures['rate_hz']:.0f} messages per second and hand; "
+                f"contact to message p50 {delay['p50']:.1f} ms, p99 {delay['p99']:.1f} ms"
+            )
     plain: dict[str, Any] = json.loads(to_json(summary))
     return plain
 

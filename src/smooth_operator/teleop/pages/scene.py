@@ -134,6 +134,7 @@ def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
     return turns
 
 
+_CONTACT: Final[Rgb] = (235, 40, 30)  # color of a fingertip in full contact
 _BALL, _BALL_PINCHED = 0.0035, 0.0075  # radii of the fingertip markers [m]
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
 _TARGET, _TARGET_LINE = 0.0028, 0.0012  # radius of a target, thickness of its line [m]
@@ -464,14 +465,22 @@ class HandRow:
         landmarks: Float[np.ndarray, "21 3"],
         robot_tips: Sequence[Float[np.ndarray, "F 3"]],
         pinched: Bool[np.ndarray, " G"],
+        contact: Sequence[float] | None = None,
     ) -> None:
-        """Shows the landmarks and each robot's fingertips, in the hands' frames [m]."""
+        """Shows the landmarks and each robot's fingertips, in the hands' frames [m].
+
+        The more contact (0 to 1) a robot's fingertip has, the redder and larger it is.
+        """
         self.human.draw(landmarks, pinched)
         lit = lit_tips(pinched)
-        shades = linear(np.where(lit[:, None], np.array(HIGHLIGHT), self._palette))
+        level = np.zeros(len(lit)) if contact is None else np.asarray(contact, float)
+        colors = np.where(lit[:, None], np.array(HIGHLIGHT), self._palette)
+        mixed = colors + level[:, None] * (np.array(_CONTACT) - colors)
+        shades = linear(mixed.round().astype(np.uint8))
+        sizes = np.maximum(np.where(lit, _BALL_PINCHED, _BALL), level * _BALL_PINCHED)
         for balls, tips in zip(self.tips.values(), robot_tips, strict=True):
             balls.batched_positions = tips
-            balls.batched_scales = np.where(lit, _BALL_PINCHED, _BALL)
+            balls.batched_scales = sizes
             balls.batched_colors = shades
         colors = keyvector_colors(len(self._human_tips), pinched)
         for lines, tips in zip(

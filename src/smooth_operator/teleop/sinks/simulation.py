@@ -21,7 +21,7 @@ from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.scenes.physics import ArmPhysics
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import HandState, Tick
+from smooth_operator.teleop.sinks.tick import Contact, HandState, Tick
 from smooth_operator.types import Side
 
 
@@ -37,6 +37,7 @@ class Simulation(Sink):
         bandwidth: bandwidth of the servos [Hz]. A higher one follows faster and pushes harder.
         gravity: True for gravity along -z of the model's world.
         task: task scene around each hand; a task switches gravity on.
+        full_force: force on a finger at which its contact is 1 [N].
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -46,6 +47,7 @@ class Simulation(Sink):
     bandwidth: float = 20.0
     gravity: bool = False
     task: Literal["none", "card", "cube", "screwdriver"] = "none"
+    full_force: float = 5.0
     _world: World | None = field(default=None, init=False, repr=False, compare=False)
     _task: str | None = field(default=None, init=False, repr=False, compare=False)
     _swapping: threading.Lock = field(
@@ -58,6 +60,7 @@ class Simulation(Sink):
 
     def __post_init__(self) -> None:
         check_range("mujoco: rate", self.rate, 200.0, 2000.0, "Hz")
+        check_range("mujoco: full_force", self.full_force, 0.1, 100.0, "N")
         if not 0.5 <= self.bandwidth <= 0.05 * self.rate:
             raise ConfigError(
                 f"mujoco: bandwidth must be 0.5 Hz to a twentieth of the rate, "
@@ -94,7 +97,7 @@ class Simulation(Sink):
         if self._world is not None:
             raise SinkError("mujoco: it is already open")
         physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
-        self._set(_world=World(physics, self._events, self._arms))
+        self._set(_world=World(physics, self._events, self._arms, self.full_force))
 
     def change_task(self, task: str) -> None:
         """Build the scene of another task, or the hand alone, and switch to it. Commands continue.
@@ -118,7 +121,8 @@ class Simulation(Sink):
                 raise SinkError(
                     "mujoco: it was closed, or another task was requested in the meantime"
                 )
-            self._set(_task=task, _world=World(physics, self._events, self._arms))
+            world = World(physics, self._events, self._arms, self.full_force)
+            self._set(_task=task, _world=world)
         before.end()
 
     def send(self, tick: Tick) -> None:
@@ -289,6 +293,7 @@ class World:
         physics: physics of each hand.
         events: list to which faults of the physics are added.
         carried: arms that carry hands.
+        full_force: force on a finger at which its contact is 1 [N].
 
     Attributes:
         watchers: side -> watcher of the scene's states.
@@ -302,7 +307,9 @@ class World:
         physics: Mapping[Side, HandPhysics],
         events: list[str],
         carried: Mapping[Side, CarriedHand],
+        full_force: float,
     ) -> None:
+        self._full_force = full_force
         now = time.perf_counter()
         self.kinematics = {
             side: WristKinematics(carried[side]) for side in physics if side in carried
@@ -311,7 +318,7 @@ class World:
             side: arm for side, p in physics.items() if (arm := p.arm_positions) is not None
         }
         self.number = next(_NUMBERS)
-        self.states = {side: _measured(side, p, now) for side, p in physics.items()}
+        self.states = {side: self._measured(side, p, now) for side, p in physics.items()}
         self.qpos = {side: np.array(p.data.qpos) for side, p in physics.items()}
         self.physics, self._events = physics, events
         self.scenes: dict[Side, SceneState] = {
@@ -384,7 +391,7 @@ class World:
             with self.changed:
                 frozen, there = side in self.frozen, side in self.there
             if frozen:
-                self.states[side] = _measured(side, physics, now)
+                self.states[side] = self._measured(side, physics, now)
                 if there and isinstance(physics, ScenePhysics):
                     self._show(side, physics)  # the object may be put back meanwhile
                 continue
@@ -392,7 +399,7 @@ class World:
                 text = f"the physics of the {side} hand became unstable and was reset"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
-            self.states[side] = _measured(side, physics, now)
+            self.states[side] = self._measured(side, physics, now)
             self.qpos[side] = np.array(physics.data.qpos)
             if (arm := physics.arm_positions) is not None:
                 self.arms[side] = arm
@@ -410,8 +417,8 @@ class World:
         if watcher is not None:
             watcher(state, physics.positions)
 
-
-def _measured(side: Side, physics: HandPhysics, now: float) -> HandState:
-    """State of a hand, as joint encoders measure it."""
-    hand = physics.hand
-    return HandState(side, hand.name, now, hand.joint_names, physics.positions)
+    def _measured(self, side: Side, physics: HandPhysics, now: float) -> HandState:
+        """State of a hand, as joint encoders and force sensors in the fingers measure it."""
+        hand, forces = physics.hand, physics.finger_forces
+        contact = Contact(np.minimum(forces / self._full_force, 1.0), forces)
+        return HandState(side, hand.name, now, hand.joint_names, physics.positions, contact=contact)

@@ -152,6 +152,20 @@ class Tick:
 
 
 @dataclass(frozen=True, eq=False)
+class Contact:
+    """Contact of a robot hand's fingers, measured or simulated.
+
+    Attributes:
+        levels: (f,) contact of each finger of the hand, thumb first: 0 for none, 1 for full contact
+            by the scale of the hand's driver; NaN if unknown.
+        newtons: (f,) force on each finger [N]; NaN if unknown.
+    """
+
+    levels: Float[np.ndarray, " f"]
+    newtons: Float[np.ndarray, " f"]
+
+
+@dataclass(frozen=True, eq=False)
 class HandState:
     """Measured state of a robot hand, real or simulated.
 
@@ -167,6 +181,7 @@ class HandState:
             if the hand measures neither.
         temperatures: (a,) temperatures of the actuators [degrees Celsius], or None.
         touch: (k,) touch or force sensors, in the driver's unit and order, or None.
+        contact: contact of the fingers, or None.
     """
 
     side: Side
@@ -179,6 +194,7 @@ class HandState:
     currents: Float[np.ndarray, " a"] | None = None
     temperatures: Float[np.ndarray, " a"] | None = None
     touch: Float[np.ndarray, " k"] | None = None
+    contact: Contact | None = None
 
     @property
     def time(self) -> float:

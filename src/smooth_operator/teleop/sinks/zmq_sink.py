@@ -58,11 +58,7 @@ class ZmqSink(ThreadedSink):
     )
 
     def __post_init__(self) -> None:
-        if not is_zmq_address(self.address):
-            raise ConfigError(
-                f"zmq: {self.address!r} is not a ZeroMQ address; expected an address such as "
-                "tcp://127.0.0.1:5556 or ipc:///run/hand"
-            )
+        check_address(self.address)
         if not 0.0 < self.valid_for_s <= 10.0:
             raise ConfigError(
                 f"zmq: valid_for_s must be greater than 0 and at most 10 s, not {self.valid_for_s}"
@@ -87,25 +83,49 @@ class ZmqSink(ThreadedSink):
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
         """Open the socket."""
-        try:
-            import zmq
-        except ImportError as error:
-            raise MissingExtraError("sending commands over ZeroMQ", "zmq") from error
-        context = zmq.Context()
-        socket = context.socket(zmq.PUB)
-        socket.setsockopt(zmq.LINGER, _LINGER_MS)
-        socket.setsockopt(zmq.SNDHWM, _WAITING_MESSAGES)
-        try:
-            socket.bind(self.address)
-        except zmq.ZMQError as error:
-            socket.close(0)
-            context.term()
-            raise SinkError(
-                f"can't publish commands at {self.address}: {error}; choose another address, "
-                "or end the program that uses it"
-            ) from error
+        context, socket = open_publisher(self.address, "commands")
         names = {side: hand.name for side, hand in hands.items()}
         return _Publisher(context, socket, names, self.valid_for_s, self.pressed_keys)
+
+
+def check_address(address: str) -> None:
+    """Raises ConfigError for a text that is not an address of ZeroMQ."""
+    if not is_zmq_address(address):
+        raise ConfigError(
+            f"zmq: {address!r} is not a ZeroMQ address; expected an address such as "
+            "tcp://127.0.0.1:5556 or ipc:///run/hand"
+        )
+
+
+def open_publisher(address: str, what: str) -> tuple[Any, Any]:
+    """Opens a ZeroMQ context and a socket that publishes (PUB) at an address.
+
+    Args:
+        address: address for subscribers.
+        what: the content of the messages, for errors.
+
+    Raises:
+        MissingExtraError: pyzmq is not installed.
+        SinkError: the address can't be used.
+    """
+    try:
+        import zmq
+    except ImportError as error:
+        raise MissingExtraError(f"sending {what} over ZeroMQ", "zmq") from error
+    context = zmq.Context()
+    socket = context.socket(zmq.PUB)
+    socket.setsockopt(zmq.LINGER, _LINGER_MS)
+    socket.setsockopt(zmq.SNDHWM, _WAITING_MESSAGES)
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        socket.close(0)
+        context.term()
+        raise SinkError(
+            f"can't publish {what} at {address}: {error}; choose another address, or end the "
+            "program that uses it"
+        ) from error
+    return context, socket
 
 
 def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:

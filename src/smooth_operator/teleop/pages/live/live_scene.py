@@ -506,7 +506,7 @@ class _SideView:
         self.robot.draw(every, other)
         latched = np.isin(self._hand.fingers[1:], state["latched"] or ())
         robot_tips = self._hand.tips(every)
-        self.row.draw(self._aligned(state), [robot_tips], latched)
+        self.row.draw(self._aligned(state), [robot_tips], latched, state.get("contact"))
         self.targets.draw(state.get("targets"), robot_tips)
 
     def set_overlay(self, overlay: bool) -> None:

@@ -338,6 +338,9 @@ class LiveSession:
             "human": None
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
+            "contact": None
+            if tick.state is None or tick.state.contact is None
+            else _numbers(np.nan_to_num(tick.state.contact.levels)),
             "age_s": age,
             "latched": None if self.blind else pipeline.latched,
             "targets": None

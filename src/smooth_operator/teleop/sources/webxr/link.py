@@ -11,11 +11,13 @@ from page    content                                                            
 ``stop``     nothing; the page repeats it until ``pong`` has the mode *stopped*
 ===========  ========================================================================  ============
 
-``welcome`` contains the ``session``. ``pong`` repeats ``at`` and contains ``host``, the time by the
-host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``, the state of
-the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of the
-last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by the
-host's clock, to within half the round trip.
+``welcome`` contains the ``session``, and ``pulses``: true if this program will send ``pulse``. That
+message lets the controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for a number of
+``seconds``, and replaces the previous one. ``pong`` repeats ``at`` and contains ``host``, the time
+by the host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``, the
+state of the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of
+the last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by
+the host's clock, to within half the round trip.
 
 The first message must be ``hello``. A refused connection is closed with one of the codes below.
 """
@@ -30,6 +32,7 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
@@ -91,7 +94,10 @@ class LinkState:
 class Link:
     """Connection to a headset; a newer connection replaces it."""
 
-    def __init__(self, mailbox: Mailbox, pairing: Pairing) -> None:
+    def __init__(self, mailbox: Mailbox, pairing: Pairing, pulses: bool = False) -> None:
+        self._pulses = pulses
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._pulse: Future[None] | None = None  # the last one
         self._mailbox = mailbox
         self._pairing = pairing
         self._clock = mailbox.clock
@@ -107,16 +113,30 @@ class Link:
         """A copy of the state of the link; safe from any thread."""
         return replace(self._state, refused=self._pairing.refused, rate_hz=self._rate())
 
+    def pulse(self, side: Side, strength: float, seconds: float) -> None:
+        """Send a pulse for the controllers of a side; safe from any thread.
+
+        Without a headset, or while it has not yet taken the previous pulse, nothing is sent.
+        """
+        connection, loop = self._current, self._loop
+        if connection is None or loop is None or (self._pulse and not self._pulse.done()):
+            return
+        content = {"type": "pulse", "side": side, "strength": strength, "seconds": seconds}
+        sending = connection.send(json.dumps(content))
+        self._pulse = asyncio.run_coroutine_threadsafe(sending, loop)
+
     async def serve(self, connection: ServerConnection) -> None:
         """Serves one page until it leaves or is closed."""
         from websockets.exceptions import ConnectionClosed
 
+        self._loop = asyncio.get_running_loop()
         address = str((connection.remote_address or ("unknown",))[0])
         try:
             if not await self._paired(connection, address):
                 return
             self._take_over(connection, address)
-            await connection.send(json.dumps({"type": "welcome", "session": self._state.session}))
+            welcome = {"type": "welcome", "session": self._state.session, "pulses": self._pulses}
+            await connection.send(json.dumps(welcome))
             async for message in connection:
                 received = self._clock()
                 if self._current is not connection:

@@ -36,6 +36,7 @@ from smooth_operator.teleop.sources.webxr.link import (
     Pairing,
     check_code,
 )
+from smooth_operator.types import Side
 from smooth_operator.web.addresses import names_of, page_addresses
 from smooth_operator.web.auth import same_origin
 from smooth_operator.web.files import answer_with, page_files, shielded
@@ -324,6 +325,22 @@ class WebXr(ThreadedSource):
         link: Link | None = getattr(self, "_link", None)
         return LinkState() if link is None else link.state
 
+    def expect_pulses(self) -> None:
+        """Let the page prepare the controllers for ``pulse``; call this before ``start``."""
+        object.__setattr__(self, "_pulses", True)
+
+    def pulse(self, side: Side, strength: float, seconds: float) -> None:
+        """Let the headset's controllers vibrate; safe from any thread.
+
+        Args:
+            side: side of the controllers.
+            strength: 0 to 1; 0 ends a pulse.
+            seconds: duration, unless another pulse comes before its end [s].
+        """
+        link: Link | None = getattr(self, "_link", None)
+        if link is not None:
+            link.pulse(side, strength, seconds)
+
     def open(self) -> None:
         """Gets the certificate and opens the port."""
         try:
@@ -355,7 +372,7 @@ class WebXr(ThreadedSource):
     def run(self, running: Running) -> None:
         """Serves the page until the end."""
         opened: _Opened = getattr(self, "_opened")  # noqa: B009  (set by open)
-        link = Link(running.mailbox, opened.pairing)
+        link = Link(running.mailbox, opened.pairing, getattr(self, "_pulses", False))
         object.__setattr__(self, "_link", link)
 
         def watch() -> bool:

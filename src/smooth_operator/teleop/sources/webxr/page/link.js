@@ -8,7 +8,7 @@ const ROUNDS = 50; // last pings, of which the fastest gives the offset
 const BACKOFF = [250, 500, 1000, 2000, 4000]; // ms
 const FINAL = new Set([4400, 4401, 4409, 4429]); // codes after which a new try is useless
 
-/** Events: "change" after each change of its state. */
+/** Events: "change" after each change of its state; "pulse" for the controllers. */
 export class Link extends EventTarget {
   constructor() {
     super();
@@ -23,6 +23,7 @@ export class Link extends EventTarget {
     this.mode = ''; // of the loop
     this.stopping = false; // true from a stop on this page until the loop confirms it
     this.tracking = false;
+    this.pulses = false; // true if the host will send pulses
     this.skipped = 0;
     this.sent = [];
     this.rounds = [];
@@ -69,6 +70,7 @@ export class Link extends EventTarget {
     this.unanswered = 0;
     if (message.type === 'welcome') {
       this.tries = 0;
+      this.pulses = message.pulses;
       this.become('linked');
       this.pinging = setInterval(() => this.ping(), PING_EVERY);
       this.ping();
@@ -83,6 +85,8 @@ export class Link extends EventTarget {
       this.mode = message.mode;
       if (this.mode === 'stopped') this.stopping = false;
       this.dispatchEvent(new Event('change'));
+    } else if (message.type === 'pulse') {
+      this.dispatchEvent(new CustomEvent('pulse', { detail: message }));
     }
   }
 

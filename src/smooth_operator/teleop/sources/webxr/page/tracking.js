@@ -37,6 +37,18 @@ export class Tracking extends EventTarget {
     this.session = null;
     this.since = 0;
     this.lastSeen = 0;
+    link.addEventListener('pulse', (event) => this.pulse(event.detail));
+  }
+
+  /** Let the controllers of a side vibrate, also those beside tracked hands. */
+  pulse({ side, strength, seconds }) {
+    const { inputSources = [], trackedSources = [] } = this.session ?? {};
+    for (const { handedness, gamepad } of [...inputSources, ...trackedSources]) {
+      if (handedness !== side) continue;
+      for (const actuator of gamepad?.hapticActuators ?? []) {
+        Promise.resolve(actuator.pulse(strength, 1000 * seconds)).catch(() => {});
+      }
+    }
   }
 
   /** Start; browsers allow it in a click only. */
@@ -45,7 +57,8 @@ export class Tracking extends EventTarget {
     try {
       session = await navigator.xr.requestSession(mode, {
         requiredFeatures: ['hand-tracking'],
-        optionalFeatures: ['local-floor'],
+        // Controllers beside tracked hands cost power (immersive-web/webxr, issue 1430).
+        optionalFeatures: ['local-floor', ...(this.link.pulses ? ['tracked-sources'] : [])],
       });
     } catch (error) {
       throw new Trouble(`The headset does not track hands (${error.message || error.name}). Turn hand tracking on in its settings, allow it when the browser asks, and press Start again.`);
