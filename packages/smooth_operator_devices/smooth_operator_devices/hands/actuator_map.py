@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,6 +28,7 @@ from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.settings import check_range
 from smooth_operator.types import Side
+from smooth_operator_devices.hands.contact import ContactMap, ContactScale, Measured
 
 Rest: TypeAlias = Literal["hold", "relax"]
 """Behaviour of a hand without a command: hold its position under power, or relax."""
@@ -134,6 +135,7 @@ class ActuatorMap:
         on_end: rest at the end of a run.
         hot: temperature [degrees Celsius] from which on an actuator is reported.
         settings: further settings for the driver, such as gains.
+        contact: scale of the contact that feedback sends; None for currents and their limits.
         source: source of the figures.
         file: name of the table in messages.
 
@@ -153,6 +155,7 @@ class ActuatorMap:
     on_end: Rest = "relax"
     hot: float = 65.0
     settings: Mapping[str, Any] = field(default_factory=dict)
+    contact: ContactScale | None = None
     source: str = ""
     file: str = "the table"
 
@@ -217,6 +220,7 @@ class BoundMap:
         table: the table.
         names: (n,) names of the model's joints.
         ends: (a, 2) lowest and highest command.
+        contact: map from readings to the contact of the hand's fingers.
 
     Raises:
         ConfigError: the table is that of another hand, with other joints.
@@ -225,6 +229,8 @@ class BoundMap:
 
     def __init__(self, actuators: ActuatorMap, hand: Hand) -> None:
         self.table, self.names = actuators, hand.joint_names
+        joints = [actuator.joints for actuator in actuators.actuators]
+        self.contact = ContactMap(actuators.contact, actuators.limits, joints, hand)
         hand = with_wrist_joints(hand)
         count, names = len(actuators.actuators), hand.joint_names
         self.ends = np.array([actuator.ends for actuator in actuators.actuators], float)
@@ -513,9 +519,21 @@ def read_table(path: Path) -> ActuatorMap:
             on_end=top.choice("on_end", _RESTS, "relax"),
             hot=top.number("hot", 65.0),
             settings=dict(top.table("settings", {}).values),
+            contact=_contact(top.table("contact")) if "contact" in top.values else None,
             source=top.text("source", "", lines=True),
             file=str(path),
         )
+
+
+def _contact(each: Entries) -> ContactScale:
+    each.only(*(entry.name for entry in fields(ContactScale)))
+    return ContactScale(
+        each.choice("values", get_args(Measured)),
+        each.number("idle"),
+        each.number("full"),
+        tuple(each.texts("fingers")) if "fingers" in each.values else (),
+        each.number("newtons") if "newtons" in each.values else None,
+    )
 
 
 def _entries(path: Path) -> Entries:
@@ -629,6 +647,9 @@ def _lines(table: ActuatorMap, comment: str) -> Iterator[str]:
         yield f"{name} = {toml_value(getattr(table, name))}"
     if table.settings:
         yield f"settings = {toml_value(table.settings)}"
+    if table.contact is not None:
+        entries = {name: value for name, value in asdict(table.contact).items() if value}
+        yield f"contact = {toml_value({'idle': 0.0, **entries})}"
     for actuator in table.actuators:
         yield "\n[[actuators]]"
         yield f"name = {toml_value(actuator.name)}"

@@ -380,6 +380,7 @@ class HandWorker:
             None if reading.currents is None else np.asarray(reading.currents, float),
             None if reading.temperatures is None else np.asarray(reading.temperatures, float),
             None if reading.touch is None else np.asarray(reading.touch, float),
+            self._map.contact(reading.currents, reading.touch, reading.pads),
         )
         return reading
 
