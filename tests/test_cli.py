@@ -27,6 +27,7 @@ from smooth_operator.teleop.recording import read_log
 from smooth_operator.types import HandRecording, Side, Status
 
 TINY = ("--method", "sbr", "--preset", "tiny")
+QUICK = ("--method", "joint_angle")  # where the method doesn't matter
 TOP_KEYS = {metric.name.split(".")[0] for metric in METRICS}
 
 Run = Callable[..., tuple[int, str, str]]
@@ -89,9 +90,14 @@ def test_demo_writes_a_consistent_folder(run, tmp_path):
     # An earlier demo is replaced; another kind of folder is not.
     (folder / "notes.txt").write_text("mine", encoding="utf-8")
     again = ("--no-view", "--method", "joint_angle", "--duration", 0.2, "--quiet")
-    status, *_ = run("demo", "--output", folder, *again, "--side", "left")
+    some = ("--side", "left", "--fingers", "thumb,index,pinky=ring")
+    status, *_ = run("demo", "--output", folder, *again, *some)
     assert status == 0
     assert read_recording(folder / "log.mcap").side == "left"
+    config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+    assert config["fingers"] == {"thumb": "thumb", "index": "index", "pinky": "ring"}
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    assert metrics["pinch_touch_share_per_finger"].keys() == {"index", "ring"}
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.txt").write_text("mine", encoding="utf-8")
@@ -133,7 +139,7 @@ def test_retarget_is_the_library_and_repeats_itself(run, glove, tmp_path):
 def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(run, tmp_path):
     left = save(tmp_path / "left.npz", recording("left", 8))
     out = tmp_path / "out.npz"
-    status, _, err = run("retarget", left, *TINY, "--output", out, "--scale", "calibrate")
+    status, _, err = run("retarget", left, *QUICK, "--output", out, "--scale", "calibrate")
     assert status == 0, err
     config = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
     assert config["side"] == "left"

@@ -310,7 +310,7 @@ def test_the_closest_pinch_is_closer_than_any_random_pose():
     joints = [hand.actuated_names.index(n) for n in hand.actuated_names if "thumb" in n]
     joints.append(hand.actuated_names.index("pinky_proximal_joint"))
     grid = np.stack(
-        np.meshgrid(*(np.linspace(*hand.limits[j], 40) for j in joints), indexing="ij"), axis=-1
+        np.meshgrid(*(np.linspace(*hand.limits[j], 25) for j in joints), indexing="ij"), axis=-1
     ).reshape(-1, len(joints))
     q = np.tile(hand.neutral, (len(grid), 1))
     q[:, joints] = grid

@@ -295,10 +295,9 @@ def test_contacts_are_kept_and_the_surface_is_respected():
 
 
 @needs_libigl
-@pytest.mark.usefixtures("optimised")
 def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path):
     trimesh = pytest.importorskip("trimesh")
-    made = make_clip(SceneSpec("pinch", "box", rate=20.0))
+    made = make_clip(SceneSpec("pinch", "box", rate=10.0))
     recording, (track,) = made.clip.hands["right"], made.clip.objects
     arrays = {
         "right": recording.landmarks,

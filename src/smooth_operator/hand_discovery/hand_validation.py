@@ -217,7 +217,8 @@ def _closest(samples: Samples, finger: str) -> tuple[float, Float[np.ndarray, " 
         return np.asarray(tips[..., k, :] - tips[..., 0, :])
 
     def jacobian(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3 m"]:
-        return np.asarray((gap(q + nudges) - gap(q - nudges)).T / 2e-6)
+        ahead, behind = gap(q + np.stack([nudges, -nudges]))
+        return np.asarray((ahead - behind).T / 2e-6)
 
     best, pose = np.inf, samples.poses[int(np.argmin(apart))]
     for start in samples.poses[np.argsort(apart)[:_STARTS]]:
