@@ -42,7 +42,7 @@ USERS = [
         ("docs", "reference"),
     }
 ]
-QUICK = ("docs/how-to/calibrate.md", "docs/how-to/lerobot.md", "docs/how-to/manus.md")
+QUICK = ("docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""
 
 ELSEWHERE = {

@@ -46,13 +46,12 @@ NAMES = (
     "wuji_hand",
 )
 EVERY_RUN = {
-    "inspire_hand": ("keyvector",),
+    "inspire_hand": ("keyvector", "dexpilot"),
     "leap_hand": ("ako", "joint_angle"),
     "mimic_p050": ("sbr", "smooth", "hybrid", "geort"),
-    "shadow_hand": ("dexpilot",),
 }
-"""Hands of each run of the tests (coupled joints, four fingers, mirrored, a model for each side)
-and their methods: each method once, since compiling is the time. The weekly run has all pairs."""
+"""Hands of each run of the tests (coupled joints, four fingers, mirrored) and their methods: each
+method once, since compiling is the time. The weekly run has all pairs."""
 SIDES = ("right", "left")
 BOTH_SIDES = ("mimic_p050",)
 """Hands of each run of the tests whose left side is tried, too."""

@@ -115,7 +115,7 @@ def test_modes_differ_where_they_should(analysis):
 
 
 def test_the_baseline_can_be_another(case, tmp_path):
-    data = load(tmp_path, case.trials)
+    data = load(tmp_path, [row for row in case.trials if row["task"] == "A"])
     found = analyze_study(data, "sbr").results["small-sample"]["time"]["pooled"]
     assert list(found.dunnett) == ["dexpilot", "geort", "hybrid"]
     assert next(iter(found.pairs)) == "sbr-dexpilot"
@@ -288,7 +288,9 @@ def test_as_many_coefficients_as_operators_is_flagged(case, tmp_path):
         assert result.refused or flagged
 
 
-@pytest.mark.parametrize("seed", [1, 2, 5])
+@pytest.mark.parametrize(
+    "seed", [2, *(pytest.param(seed, marks=pytest.mark.weekly) for seed in (1, 5))]
+)
 def test_damaged_studies_never_give_a_silent_number(seed, tmp_path):
     """Rows, cells and operators go at random: every figure is finite, or refused with a reason."""
     draw = random.Random(seed)
