@@ -47,7 +47,7 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
-from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
+from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side
 
@@ -199,7 +199,9 @@ class LateHand(Quiet):
             return None
         q = past[-1].command.joint_positions.copy()
         q[0] = np.nan
-        return HandState(side, "late", past[-1].time + 0.08, past[-1].command.joint_names, q)
+        contact = Contact(np.array([np.nan, 0.25, 0.0, 0.0, 0.0]), np.full(5, np.nan))
+        names = past[-1].command.joint_names
+        return HandState(side, "late", past[-1].time + 0.08, names, q, contact=contact)
 
 
 @dataclass(frozen=True)
@@ -218,6 +220,8 @@ def test_a_measured_hand_and_its_delay_are_shown(stage):
     eventually(lambda: stage.see()["hands"]["right"]["simulated"])
     shown = stage.see()["hands"]["right"]
     assert np.isfinite(np.array(shown["simulated"], float)).all()  # unknown: as commanded
+    contact = [0.0, 0.25, 0.0, 0.0, 0.0]  # unknown: none
+    eventually(lambda: stage.see()["hands"]["right"]["contact"] == contact)
     eventually(lambda: stage.see()["status"]["motion_delay"].get("right"))
     status = stage.see()["status"]
     assert status["motion_delay"]["right"] == pytest.approx(0.08, abs=0.02)
@@ -743,6 +747,16 @@ def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
                 np.testing.assert_array_equal(
                     getattr(node, each), getattr(drawn.first.nodes[body], each)
                 )
+        positions = hands["right"].full_configuration(hands["right"].neutral).tolist()
+        state = {"positions": positions, "human": None, "latched": None}
+        tips = scene._sides["right"].row.tips["robot"]
+        before, sizes = tips.batched_colors.copy(), tips.batched_scales.copy()
+        scene.draw({"right": {**state, "contact": [0.0, 1.0, 0.5, 0.0, 0.0]}})
+        touched = (tips.batched_colors != before).any(axis=1)
+        assert touched.tolist() == [False, True, True, False, False]  # they are redder and larger
+        assert tips.batched_scales[1] > tips.batched_scales[2] >= sizes[2] == sizes[1]
+        scene.draw({"right": {**state, "contact": None}})
+        np.testing.assert_array_equal(tips.batched_colors, before)
         scene.remove()
         assert not [name for name in server.scene._handle_from_node_name if "right" in name]
         arm = LiveScene(server, hands, False, arm=ArmSettings("ur5e"), root="/second")

@@ -319,13 +319,13 @@ class HandPhysics:
     def finger_forces(self) -> Float[np.ndarray, " f"]:
         """(f,) normal force on each finger, thumb first [N]: of objects, palm and other fingers."""
         forces = np.zeros(len(self.hand.fingers) + 1)  # the last one: of all other bodies
-        wrench = np.zeros(6)
-        for index in range(self._data.ncon):
-            contact = self._data.contact[index]
-            one, two = self._finger_of_geom[contact.geom]
-            if one != two and contact.efc_address >= 0:
-                mujoco.mj_contactForce(self._built.model, self._data, index, wrench)
-                forces[[one, two]] += wrench[0]
+        contacts, wrench = self._data.contact, np.zeros(6)
+        owners = self._finger_of_geom[contacts.geom]
+        counts = (owners[:, 0] != owners[:, 1]) & (contacts.efc_address >= 0)
+        for index in np.flatnonzero(counts):
+            mujoco.mj_contactForce(self._built.model, self._data, index, wrench)
+            for owner in owners[index]:
+                forces[owner] += wrench[0]
         return forces[:-1]
 
     def command(self, positions: Float[np.ndarray, " n"]) -> None:
