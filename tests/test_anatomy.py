@@ -195,7 +195,7 @@ def test_random_orders_of_real_recordings_are_refused(shared, name):
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_no_real_hand_of_any_size_is_refused(shared, name, side, size):
     points, its = turned(real(shared, name), side, size)
-    for frames, step in ((len(points), len(points)), (1, 11), (10, 47), (100, 97)):
+    for frames, step in ((len(points), len(points)), (1, 23), (10, 97), (100, 197)):
         for first in range(0, len(points) - frames + 1, step):
             window = points[first : first + frames]
             known = np.ones(window.shape[:2], bool)

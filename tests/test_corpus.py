@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from made_clips import CLIPS, LAYOUT
 
-from smooth_operator.datasets import writing
+from smooth_operator.datasets import pipeline, writing
 from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
 from smooth_operator.datasets.sources import Item, each_item
 from smooth_operator.formats.clip import ClipRef, ReadingOptions
@@ -118,8 +118,9 @@ def test_a_run_that_is_killed_while_it_writes_is_resumed(tmp_path, source, monke
     assert first.stat().st_mtime_ns == before  # what is whole is not written again
 
 
-def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path):
+def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path, monkeypatch):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
+    monkeypatch.setattr(pipeline, "_FEW_ITEMS", 1)  # each clip is a task
     source = made_clips.write(tmp_path / "hands.made.json", 4, (0.3, 0.5))
     options = {"layout": "hanging_clips:CLIPS", "workers": 1}
     summary = make_dataset(request(source, tmp_path / "out", **options))

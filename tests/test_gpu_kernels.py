@@ -1,7 +1,9 @@
 """The kernels that a GPU runs, operation by operation on a CPU."""
 
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -26,25 +28,27 @@ TEMPERATURE, JITTER = 0.1, 1e-6
 
 def gaussian(costs: np.ndarray, base: np.ndarray, elites: int) -> tuple[np.ndarray, np.ndarray]:
     """The kernel's mean and Cholesky factor for fixed normals (m, n)."""
+    mean, chol, _ = compiled(jnp.asarray(costs, jnp.float32), jnp.asarray(base), elites)
+    return np.asarray(mean), np.asarray(chol)
+
+
+@partial(jax.jit, static_argnames="elites")
+def compiled(costs: jax.Array, base: jax.Array, elites: int) -> Any:
     size = len(base)
-    limits = np.repeat(LIMITS, size, axis=0)
-    mean, chol = jnp.full(size, 0.05), 0.3 * jnp.eye(size)
-    following = KEY, jnp.int32(1)
     words: Any = KEY
-    mean, chol, _ = next_gaussian(
-        jnp.asarray(costs, jnp.float32),
-        mean,
-        chol,
+    return next_gaussian(
+        costs,
+        jnp.full(size, 0.05),
+        0.3 * jnp.eye(size),
         words,
-        following,
-        jnp.asarray(base),
-        limits,
+        (KEY, jnp.int32(1)),
+        base,
+        np.repeat(LIMITS, size, axis=0),
         elites,
         TEMPERATURE,
         JITTER,
         interpret=True,
     )
-    return np.asarray(mean), np.asarray(chol)
 
 
 def expected(

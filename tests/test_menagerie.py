@@ -44,6 +44,10 @@ HANDS: tuple[tuple[str, Side, str], ...] = (
     ("shadow_hand", "left", "shadow_hand"),
 )
 """Hand, side, and its folder among the real ones; LEAP's left one has no meshes there."""
+RIGHT_ONES = [
+    pytest.param(*each, marks=pytest.mark.weekly if each[1] == "left" else ()) for each in HANDS
+]
+"""Right hands in each run of the tests; the weekly run has the left ones, too."""
 LARGER = {"leap_hand": 0.02, "shadow_hand": 0.015}
 """How far the boxes of the last link's mesh and capsule may differ [m]: LEAP's carries a motor,
 Shadow's begins beyond the joint."""
@@ -102,7 +106,7 @@ def test_a_hand_of_the_package_is_the_same_hand(root):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("name", "side", "folder"), HANDS)
+@pytest.mark.parametrize(("name", "side", "folder"), RIGHT_ONES)
 def test_every_published_hand_is_drawn_with_its_meshes(shared, root, name, side, folder):
     # the folders beside this checkout are Menagerie's, under names that may end in hand
     (root / folder).symlink_to(shared / "hands" / folder)
@@ -234,7 +238,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(tmp_path, monkeypatch, caps
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("name", "side", "folder"), HANDS)
+@pytest.mark.parametrize(("name", "side", "folder"), RIGHT_ONES)
 def test_meshes_lie_where_the_simple_shapes_do(shared, name, side, folder):
     """In a pose: a fingertip is on its mesh, and each finger's shapes have about its box."""
     file = "shadow_dexee.xml" if name == "shadow_dexee" else f"{side}_hand.xml"

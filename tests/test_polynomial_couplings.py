@@ -135,7 +135,9 @@ def test_derivatives_of_the_objective_are_exact(hand, loss):
     np.testing.assert_allclose(hessian, np.stack(slope) / (2 * step), atol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["smooth", "dexpilot", "joint_angle"])
+@pytest.mark.parametrize(
+    "method", ["smooth", "joint_angle", pytest.param("dexpilot", marks=pytest.mark.weekly)]
+)
 def test_methods_retarget_and_metrics_measure(hand, method):
     recording = so.SyntheticOperator(seed=5, rate_hz=50).record(duration=1.0)
     commands, _ = so.Retargeter(hand, method=method).run(recording)
