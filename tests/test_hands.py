@@ -293,7 +293,7 @@ def test_unknown_names(tmp_path):
         load_hand("mimic")
     for model in ("my/leap_hand.urdf", "../leap_hand.XML", "hand.mjcf"):
         with pytest.raises(
-            HandModelError, match=f"{model} is a model file; add it first: .* hands add"
+            HandModelError, match=f"{model} is a model that you have to add first: .* hands add"
         ):
             load_hand(model)
 

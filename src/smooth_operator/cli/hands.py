@@ -91,12 +91,18 @@ def list_hands(options: List) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
-    from smooth_operator.hands.registry import hand_names, user_hands_folder
+    from smooth_operator.hands.registry import MAKERS_HANDS, hand_names, user_hands_folder
 
     rows = [_row(name) for name in hand_names()]
+    makers = [
+        {key: entry[key] for key in ("maker", "repository", "commit")}
+        | {"name": name, "sides": [side for side in _SIDES if side in entry]}
+        for name, entry in MAKERS_HANDS.items()
+        if name not in hand_names()
+    ]
     folder = user_hands_folder()
     if options.json:
-        print(json.dumps({"folder": str(folder), "hands": rows}))
+        print(json.dumps({"folder": str(folder), "hands": rows, "makers_hands": makers}))
         return
     console = output_console()
     table = plain_table()
@@ -116,6 +122,13 @@ def list_hands(options: List) -> None:
             Text(", ".join([row["source"], *([] if row["builtin"] else row["files"])])),
         )
     console.print(table)
+    if makers:
+        table = plain_table("Model from the maker's repository: smooth-operator hands add NAME")
+        for header in ("name", "sides", "maker", "repository"):
+            table.add_column(header, no_wrap=header == "name")
+        for row in makers:
+            table.add_row(row["name"], ", ".join(row["sides"]), row["maker"], row["repository"])
+        console.print(table)
     console.print(f"Your own hands are in {folder}", markup=False, soft_wrap=True)
 
 

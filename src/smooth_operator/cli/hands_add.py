@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Page
 from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.terminal import print_note
 
 if TYPE_CHECKING:
     from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
@@ -46,11 +47,15 @@ Examples:
   smooth-operator hands add hand.xml --thumb link_12 --tip index=link_3:0,0,0.027 --overwrite
   smooth-operator hands add so101.urdf --gripper gripper
   smooth-operator hands add robot_descriptions:allegro_hand --side right
+  smooth-operator hands add xhand1 --from models --side left
   smooth-operator hands add hand.urdf --json"""
 
-    model: Annotated[Positional[Path], arg(metavar="PATH|robot_descriptions:NAME")]
+    model: Annotated[Positional[Path], arg(metavar="PATH|robot_descriptions:NAME|NAME")]
     """URDF or MJCF file, with or without meshes; it may include an arm. Or robot_descriptions:NAME,
-    a model of that Python package."""
+    a model of that Python package. Or a hand that hands list shows with its maker's repository."""
+
+    from_: Annotated[Path | None, arg(name="from", metavar="FOLDER")] = None
+    """Your clone of the maker's repository, for such a hand."""
 
     name: Annotated[str | None, arg(metavar="NAME")] = None
     """Name of the hand, for --hand. Default: the name of the file."""
@@ -102,15 +107,42 @@ def add_hand(options: Add) -> None:
     """Analyses a model, prints the findings, writes the spec file and opens the page."""
     from smooth_operator.hand_discovery.loops import opened
     from smooth_operator.hand_files.robot_descriptions import PREFIX, description_file
+    from smooth_operator.hands.registry import MAKERS_HANDS
     from smooth_operator.hands.spec_file import check_hand_name
 
     if options.name is not None:
         check_hand_name(options.name)
+    if str(options.model) in MAKERS_HANDS and not options.model.is_file():
+        options = _of_maker(options)
+    elif options.from_ is not None:
+        raise ConfigError(
+            f"--from is for a hand with its model in its maker's repository "
+            f"({', '.join(MAKERS_HANDS)}), not for {options.model}; leave it out"
+        )
     if str(options.model).startswith(PREFIX):
         file = description_file(str(options.model).removeprefix(PREFIX))
         options = replace(options, model=file)
     with opened(options.model) as model:
         _add_hand(options, model)
+
+
+def _of_maker(options: Add) -> Add:
+    """Options for a hand whose model is in a clone; those that the user gave have precedence."""
+    from smooth_operator.hand_files.makers_hands import makers_hand
+
+    hand = makers_hand(str(options.model), options.side or "right")
+    file = hand.find(options.from_)
+    if not hand.was_checked(file):
+        print_note(
+            f"smooth-operator: warning: {file} differs from the model that was checked (commit "
+            f"{hand.commit}); check the result with smooth-operator hands check"
+        )
+    missing: dict[str, Any] = {
+        option: tuple(value) if isinstance(value, list) else value
+        for option, value in hand.options.items()
+        if not getattr(options, option)
+    }
+    return replace(options, model=file, side=hand.side, name=options.name or hand.name, **missing)
 
 
 def _add_hand(options: Add, model: OpenModel) -> None:

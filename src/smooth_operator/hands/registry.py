@@ -8,6 +8,7 @@ folder of them.
 from __future__ import annotations
 
 import os
+import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -56,6 +57,8 @@ HANDS: Final = Registry(
     "hand", {name: Entry(f"{__name__}:MODELS", "built-in") for name in sorted(find_specs(MODELS))}
 )
 """Name -> path of a spec file, or of a folder with ``NAME.right.toml`` or ``NAME.left.toml``."""
+MAKERS_HANDS: Final = tomllib.loads((MODELS.parent / "makers_hands.toml").read_text("utf-8"))
+"""Hands whose models stay in the repositories of their makers, by name (see the file)."""
 
 
 @dataclass(frozen=True)
@@ -133,9 +136,9 @@ def find_hand(name: str) -> HandEntry:
         return HandEntry(name, own, builtin=False)
     if is_target(name):
         return _described(name, HANDS.load(name))
-    if name.lower().endswith((".urdf", ".xml", ".mjcf", ".xacro")):
+    if name in MAKERS_HANDS or name.lower().endswith((".urdf", ".xml", ".mjcf", ".xacro")):
         raise HandModelError(
-            f"{name} is a model file; add it first: smooth-operator hands add {name}"
+            f"{name} is a model that you have to add first: smooth-operator hands add {name}"
         )
     raise UnknownNameError("hand", name, hand_names())
 
