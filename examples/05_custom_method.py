@@ -52,7 +52,7 @@ class TipIk(Method):
         return q, MethodOutput(q, jnp.sum(error(q) ** 2))
 
 
-recording = so.SyntheticOperator(seed=5, rate_hz=50).record(duration=4.0)
+recording = so.SyntheticOperator(seed=5, rate_hz=50).record(duration=2.0)
 retargeter = so.Retargeter("mimic_p050", config=TipIkConfig())
 commands, loss = retargeter.run(recording)
 values = so.evaluate(so.assemble_trace(recording, commands, retargeter.hand))

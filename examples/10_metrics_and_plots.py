@@ -7,7 +7,7 @@ from smooth_operator import Retargeter, SyntheticOperator, assemble_trace, evalu
 from smooth_operator.metrics import METRICS
 
 hand = load_hand("mimic_p050")
-recording = SyntheticOperator(seed=7, rate_hz=50).record(duration=6.0)
+recording = SyntheticOperator(seed=7, rate_hz=50).record(duration=3.0)
 commands, _ = Retargeter(hand).run(recording)
 
 # A trace has both hands in the robot's palm frame; metrics are pure functions of it.

@@ -155,7 +155,7 @@ def test_whole_recordings_in_a_batch_are_each_alone():
     whole = TrajectoryRetargeter(
         BatchRetargeter(config=SBR).hand, TrajectoryMethodConfig(SBR, future, jump=0.03)
     )
-    recordings = damaged()
+    recordings = damaged()[:3]
     batch = whole.batch(recordings)
     assert [bits(whole.run(recording)) for recording in recordings] == list(map(bits, batch))
 

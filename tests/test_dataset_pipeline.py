@@ -238,7 +238,7 @@ def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
     assert 0 < len(packs) < len(FRAMES), "it was not in the middle"
     (packs[0].parent / ".pack-00.zip.00000000-7.0123abcd.tmp").write_bytes(b"half")
     count = Counting()
-    make(request(folder, output, workers=1), count)  # the rest by a worker
+    make(request(folder, output), count)
     assert count.kept == len(packs)
     assert contents(output) == contents(whole[0])
     assert not list(output.rglob("*.tmp"))
