@@ -141,7 +141,15 @@ def test_a_cameras_pinches_close_on_the_robot(preset):
     hand, config = load_hand("mimic_p050"), method_config("smooth", preset)
     nearest = []
     for known in (None, MEDIAPIPE):
-        plan = Plan(human, hand, "smooth", preset, config, 0, pinch_gaps=known)
+        plan = Plan(
+            recording=human,
+            hand=hand,
+            method="smooth",
+            preset=preset,
+            config=config,
+            seed=0,
+            pinch_gaps=known,
+        )
         tips = hand.tips(execute(plan).commands.joint_positions)
         nearest.append(np.linalg.norm(tips[:, 1] - tips[:, 0], axis=-1).min())
     assert nearest[0] > 0.015
