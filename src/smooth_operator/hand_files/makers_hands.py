@@ -28,7 +28,7 @@ class MakersHand:
         repository: address of the maker's repository.
         commit: commit at which the model was checked.
         file: path of the model file in the repository.
-        sha256: digest of the model file that was checked, with line ends of one character.
+        sha256: digest of the model file that was checked, with LF line ends.
         options: options of ``hands add`` that the model needs.
     """
 
