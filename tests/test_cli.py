@@ -57,7 +57,7 @@ def save(path: Path, hand: HandRecording) -> Path:
     return path
 
 
-def test_demo_writes_a_consistent_folder(run, tmp_path):
+def test_demo_writes_a_consistent_folder(run, tmp_path, monkeypatch):
     folder = tmp_path / "new" / "demo"
     options = ("--no-view", *TINY, "--landmark-loss", 0.05, "--duration", 0.5)
     status, out, err = run("demo", "--output", folder, *options)
@@ -90,6 +90,7 @@ def test_demo_writes_a_consistent_folder(run, tmp_path):
     # An earlier demo is replaced; another kind of folder is not.
     (folder / "notes.txt").write_text("mine", encoding="utf-8")
     again = ("--no-view", "--method", "joint_angle", "--duration", 0.2, "--quiet")
+    monkeypatch.setattr("smooth_operator.benchmark.figures.save_plots", lambda *_: None)
     some = ("--side", "left", "--fingers", "thumb,index,pinky=ring")
     status, *_ = run("demo", "--output", folder, *again, *some)
     assert status == 0
