@@ -316,7 +316,8 @@ def test_show(capsys):
     said = json.loads(capsys.readouterr().out)
     hand = load_hand("orca_v2", "left")
     assert (said["side"], said["mirrored"]) == ("left", True)
-    assert [joint["name"] for joint in said["joints"]] == list(hand.joint_names)
+    assert [j["name"] for j in said["joints"]] == [*hand.joint_names, *said["wrist_joints"]]
+    assert said["wrist_joints"] == ["right_wrist"]
     assert said["actuated"] == list(hand.actuated_names)
     assert said["fingers"]["index"]["tip"]["body"] == "index_3"
     assert len(said["landmarks_m"]) == 21
