@@ -184,7 +184,9 @@ def test_what_can_not_be_retargeted(source, tmp_path, takes):
     refused(source, "it has only the right human hand, but side 'left' was requested", side="left")
     robot = tmp_path / "robot"
     write_dataset(robot, [lambda: replace(takes[0], recording=None)])
-    refused(robot, "expected the columns right_landmarks or left_landmarks .* --teleop.human=true")
+    refused(
+        robot, "expected the columns right_landmarks or left_landmarks .* smooth-operator-lerobot-"
+    )
     unseen = replace(takes[0].recording, valid=np.zeros((len(takes[0].recording), 21), bool))
     write_dataset(tmp_path / "unseen", [lambda: replace(takes[0], recording=unseen)])
     refused(tmp_path / "unseen", "no human hand is seen in any frame; delete the episode")

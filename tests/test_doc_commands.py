@@ -46,7 +46,7 @@ QUICK = ("docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""
 
 ELSEWHERE = {
-    r"retarget --dataset": "needs a data set of lerobot-record; tests/test_another_hand.py runs it",
+    r"retarget --dataset": "needs a recorded data set; tests/test_another_hand.py runs it",
     r"dataset dexycb/": "DexYCB and MANO have licences; packages/smooth_hand_datasets/tests does",
     r"teleop --source wave": "the plugin must be installed; tests/test_plugin.py runs it",
     r"calibrate --source webcam": "asks a person for a minute; tests/test_calibration.py runs it",

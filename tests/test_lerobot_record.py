@@ -1,4 +1,4 @@
-"""Recording with the real LeRobot: its own program, both plug-ins, a simulated hand, its dataset.
+"""Recording with the real LeRobot: our program, both plug-ins, a simulated hand, its data set.
 
 Needs LeRobot and both plug-ins installed; CI has a job with them (``lerobot``).
 """
@@ -32,14 +32,14 @@ pytestmark = [
     ),
 ]
 
-FPS, SECONDS, EPISODES = 30, 3.0, 2
+FPS, SECONDS, EPISODES = 30, 3.0, 3
 ADDRESS = f"tcp://127.0.0.1:{free_port()}"
 TASK = "Move the fingers"
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with ``dataset``, recorded by lerobot-record, and ``take.mcap``, what was sent."""
+    """A folder with ``dataset``, recorded in two runs, and ``take.mcap``, what was sent."""
     folder = tmp_path_factory.mktemp("lerobot")
     environment = {
         **os.environ,
@@ -67,10 +67,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "teleop.address": ADDRESS,
         "teleop.wrist": "quaternion",
         "teleop.timeout_s": 120,
-        "teleop.human": "true",
         "dataset.repo_id": "test/hand",
         "dataset.root": folder / "dataset",
-        "dataset.num_episodes": EPISODES,
         "dataset.episode_time_s": SECONDS,
         "dataset.reset_time_s": 1,
         "dataset.fps": FPS,
@@ -80,6 +78,19 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "play_sounds": "false",
     }
     options = [f"--{name}={value}" for name, value in record.items()]
+
+    def run(*more: str) -> str:
+        """Run the program; returns its error, empty if there was none."""
+        done = subprocess.run(
+            [sys.executable, "-m", f"{TELEOPERATOR}.record", *options, *more],
+            env=environment,
+            cwd=folder,
+            capture_output=True,
+            encoding="utf-8",
+            timeout=3000,
+        )
+        return done.stderr[-4000:] if done.returncode else ""
+
     with subprocess.Popen(
         [sys.executable, "-m", "smooth_operator", *teleop, "--no-view"],
         env=environment,
@@ -88,17 +99,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stderr=subprocess.STDOUT,
         encoding="utf-8",
     ) as operator:
-        done = subprocess.run(
-            [sys.executable, "-m", "lerobot.scripts.lerobot_record", *options],
-            env=environment,
-            cwd=folder,
-            capture_output=True,
-            encoding="utf-8",
-            timeout=3000,
-        )
+        error = run("--dataset.num_episodes=2") or run("--dataset.num_episodes=1", "--resume=true")
         operator.terminate()
         said, _ = operator.communicate(timeout=PATIENCE_S)
-    assert done.returncode == 0, f"{done.stderr[-4000:]}\n{said[-2000:]}"
+    assert not error, f"{error}\n{said[-2000:]}"
     return folder
 
 

@@ -1,5 +1,6 @@
 """The LeRobot teleoperator: keys and units, commands that stop, come late or come back."""
 
+import importlib
 import json
 import math
 import sys
@@ -7,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -397,47 +398,19 @@ class Publishing:
         self.sink.close()
 
 
-class Recorded:
-    """What ``lerobot-record`` does with LeRobot's class of data sets."""
-
-    resume = None
-
-    @classmethod
-    def create(cls, repo_id: str, fps: int, features: dict[str, Any]) -> "Recorded":
-        made = cls()
-        made.every, made.frames = features, []
-        return made
-
-    @property
-    def features(self) -> dict[str, Any]:
-        return self.every
-
-    def add_frame(self, frame: dict[str, Any]) -> None:
-        assert frame.keys() == self.every.keys()
-        for name, value in frame.items():
-            feature = self.every[name]
-            assert (str(value.dtype), value.shape) == (feature["dtype"], feature["shape"]), name
-        self.frames.append(frame)
-
-
-def test_the_human_hand_is_stored_beside_the_robot(session, monkeypatch):
-    recorder = ModuleType("lerobot.scripts.lerobot_record")
-    recorder.LeRobotDataset = Recorded  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match="this is another program"):
-        session(joints=JOINTS, human=True)
-    monkeypatch.setitem(sys.modules, recorder.__name__, recorder)
-    now = session(joints=JOINTS, human=True)
-    robot = {"action": {"dtype": "float32", "shape": (2,), "names": [*JOINTS.values()]}}
-    data = recorder.LeRobotDataset.create("me/hand", 30, features=robot)
-    assert data.features == robot  # what --resume compares
+def test_the_human_hand_of_each_action_is_known(session):
+    now = session(joints=JOINTS)
     now.device.connect()
 
     def step(**human: Any) -> dict[str, Any]:
         now.clock.now += 0.03
         now.send(**human)
-        action = now.device.get_action()
-        data.add_frame({"action": np.array([*action.values()], np.float32)})
-        return dict(data.frames[-1])
+        now.device.get_action()
+        values = dict(now.device.human.values)
+        kinds = {name: (str(each.dtype), each.shape) for name, each in values.items()}
+        features = now.device.human.features.items()
+        assert kinds == {name: (each["dtype"], each["shape"]) for name, each in features}
+        return values
 
     points = np.arange(63.0).reshape(21, 3) / 1000
     pose = [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0]
@@ -455,7 +428,22 @@ def test_the_human_hand_is_stored_beside_the_robot(session, monkeypatch):
     assert not second["right_human_wrist_valid"]
     third = step()  # without a hand
     assert not third["right_landmarks_valid"].any()
-    assert [frame["stamp"][0] for frame in data.frames] == pytest.approx([100.03, 100.06, 100.09])
+    stamps = [each["stamp"][0] for each in (first, second, third)]
+    assert stamps == pytest.approx([100.03, 100.06, 100.09])
+
+
+def test_the_recorder_says_which_lerobot_and_which_teleoperator_it_needs(plugin, monkeypatch):
+    name = f"{TELEOPERATOR}.record"
+    if REAL:
+        record = importlib.import_module(name)
+        words = ["record", "--robot.type=so100_follower", "--robot.port=x", "--dataset.repo_id=a/b"]
+        monkeypatch.setattr(sys, "argv", [*words, "--teleop.type=keyboard"])
+        with pytest.raises(SystemExit, match=r"smooth_operator, but got --teleop.type=keyboard"):
+            record.record()
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "lerobot.datasets", None)
+    with pytest.raises(SystemExit, match=r"needs LeRobot 0.6 or newer .* pip install"):
+        importlib.import_module(name)
 
 
 def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):

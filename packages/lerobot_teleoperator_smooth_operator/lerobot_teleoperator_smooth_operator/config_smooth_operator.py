@@ -39,7 +39,6 @@ class SmoothOperatorConfig(TeleoperatorConfig):
         method: retargeting method, if the loop runs in this process; empty for the default.
         landmarks: True to add the landmarks of the human hand to the action, for the processor
             steps of ``landmark_steps``, which replace them.
-        human: True to make ``lerobot-record`` store the human hands too: landmarks, wrist, time.
     """
 
     address: str = "tcp://127.0.0.1:5556"
@@ -57,4 +56,3 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     hand: str = ""
     method: str = ""
     landmarks: bool = False
-    human: bool = False

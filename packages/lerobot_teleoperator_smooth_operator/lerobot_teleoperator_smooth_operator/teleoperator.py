@@ -155,6 +155,9 @@ class SmoothOperator(Teleoperator):
         config: settings.
         clock: returns the time [s]; for tests.
 
+    Attributes:
+        human: the human hands that the newest action follows, for the program that records them.
+
     Raises:
         ValueError: a setting is wrong.
     """
@@ -173,10 +176,7 @@ class SmoothOperator(Teleoperator):
         self._fresh_at: dict[str, float] = {}
         self._warned = False
         self._pressed = dict.fromkeys(_EPISODE, 0)
-        self._human: HumanHands | None = None
-        if config.human:
-            self._human = HumanHands([hand.side for hand in self._hands])
-            self._human.keep()
+        self.human = HumanHands([hand.side for hand in self._hands])
 
     @property
     def action_features(self) -> dict[str, type]:
@@ -278,8 +278,7 @@ class SmoothOperator(Teleoperator):
             else:
                 self._fresh_at[hand.side] = now
                 hand.follow(command, now)
-            if self._human is not None:
-                self._human.update(hand.side, None if why else command, now)
+            self.human.update(hand.side, None if why else command, now)
             silent = now - self._fresh_at.get(hand.side, -math.inf)
             values = hand.action()
             if values is None or silent > self.config.hold_s:

@@ -1,7 +1,7 @@
 """Derives the actions of another robot hand for a LeRobot data set that holds the human hands.
 
-Any data set with the columns of ``episode_files.lerobot.human`` will do: of ``lerobot-record`` with
-this project's teleoperator, of ``convert`` or of ``dataset``. The new data set has the same
+Any data set with the columns of ``episode_files.lerobot.human`` will do: of
+``smooth-operator-lerobot-record``, of ``convert`` or of ``dataset``. The new data set has the same
 episodes, frames, tasks, videos and other columns. Of ``action`` and ``observation.state``, the
 joints are those of the new hand, and the wrists (``tcp.…``, ``ee.…``) and arms (``arm_…``) stay.
 
@@ -72,8 +72,8 @@ _OF_THE_HAND: Final = frozenset(
 _OF_THE_RUN: Final = frozenset(("key", "hands", "joints", "figures", "stages"))
 """Entries of an episode's document that describe the former hand."""
 _ADVICE: Final = (
-    "the human hands are kept by lerobot-record with --teleop.type=smooth_operator "
-    "--teleop.human=true, and by smooth-operator convert and smooth-operator dataset"
+    "the human hands are stored by smooth-operator-lerobot-record, smooth-operator convert and "
+    "smooth-operator dataset"
 )
 
 

@@ -1,7 +1,7 @@
 """The columns of a LeRobot data set that hold the human hands.
 
-The teleoperator of ``lerobot-record``, ``convert``, ``dataset`` and ``retarget --dataset`` write
-them, each for the hands that it has; ``SIDE`` is ``right`` or ``left``. No policy takes them as
+``smooth-operator-lerobot-record``, ``convert``, ``dataset`` and ``retarget --dataset`` write them,
+each for the hands that it has; ``SIDE`` is ``right`` or ``left``. No policy takes them as
 input by default, since their names begin with neither ``observation`` nor ``action``.
 
 ==========================  =============  ========================================================
