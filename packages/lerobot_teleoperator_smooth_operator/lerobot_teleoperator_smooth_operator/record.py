@@ -145,7 +145,9 @@ def record(cfg: RecordConfig) -> None:
                 dataset.save_episode()
             missing -= 1
     log_say("The recording has ended", cfg.play_sounds, blocking=True)
-    if data.push_to_hub and dataset.num_episodes:
+    if data.push_to_hub and not dataset.num_episodes:
+        log_say("No episode was recorded, so nothing is uploaded", cfg.play_sounds)
+    elif data.push_to_hub:
         dataset.push_to_hub(tags=data.tags, private=data.private)
 
 
