@@ -22,6 +22,7 @@ PARTS = (
     "hand",
     "source",
     "sink",
+    "output of feedback",
     "tracker of a maker",
     "real hand",
     "reader",

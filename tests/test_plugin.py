@@ -66,7 +66,8 @@ def test_the_parts_of_a_plugin_show_up_and_work(run, tmp_path):
         f"retarget hand.csv --rate {RATE} {choice} --all --output out.npz",
         f"bench hand.csv --rate {RATE} --hands toy_gripper --methods toy_descent:all"
         " --latency-frames 0 --workers 0 --output bench",
-        f"teleop {choice} --source wave:2,duration=1.5 --sink csv:out.csv --no-view --duration 1",
+        f"teleop {choice} --source wave:2,duration=1.5 --sink csv:out.csv mujoco"
+        " --feedback lines:felt.txt --no-view --duration 1",
     )
     assert "toy_gripper" in done.partition("metric")[0]
     figures = json.loads((tmp_path / "bench" / "results.json").read_text())
@@ -80,6 +81,7 @@ def test_the_parts_of_a_plugin_show_up_and_work(run, tmp_path):
     with np.load(tmp_path / "out.npz") as commands:
         assert commands["joint_positions"].shape == (50, 4)
         assert np.ptp(commands["joint_positions"], axis=0).max() > 0.05
+    assert (tmp_path / "felt.txt").read_text().splitlines()[-1] == "right 0.00 0.00"  # of silence
     rows = (tmp_path / "out.csv").read_text().splitlines()
     assert rows[0] == "side,number,positions"
     positions = np.array([row.split(",")[2].split() for row in rows[1:]], float)

@@ -115,7 +115,7 @@ def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
         (b"{not json}", "not JSON"),
         (b"[" * 60_000, "not JSON"),
         (b'{"landmarks": "\xff"}', "not JSON"),
-        (b"{}", "no 'landmarks'; it has nothing"),
+        (b"{}", "no 'landmarks' and no 'wrist'; it has nothing"),
         (b'{"points": 1}', "'points'"),
         (text(landmarks=5), "21 rows"),
         (text(landmarks=[[1, 2], [3]]), "rows of one length"),

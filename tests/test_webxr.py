@@ -841,7 +841,10 @@ def test_the_page_comes_back_by_itself(cache, chromium, emulator):
         paired = second.link.session  # more than 1 if a busy machine made the page try twice
         other.goto(f"{first.address}/#{CODE}")
         shows(other, "linked")
-        page.get_by_text("Another headset took over").wait_for()
+        notices = [each.get_by_text("Another headset took over") for each in (page, other)]
+        eventually(
+            lambda: any(notice.is_visible() for notice in notices)
+        )  # a lost link may come back
         taken = second.link.session
         assert taken > paired
         page.wait_for_timeout(700)

@@ -7,6 +7,7 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline as HandPipeline
 from smooth_operator.teleop.runtime.remote_client import RemoteTeleop as RemoteTeleop
 from smooth_operator.teleop.runtime.settings import LimitsConfig as LimitsConfig
 from smooth_operator.teleop.runtime.settings import LoopConfig as LoopConfig
+from smooth_operator.teleop.sinks.feedback import Feedback as Feedback
 from smooth_operator.teleop.sinks.sink import Sink as Sink
 from smooth_operator.teleop.sinks.sink import SinkRunner as SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick as Tick
