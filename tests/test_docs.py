@@ -32,6 +32,7 @@ OTHER_NAMES = {
     "smooth_operator.readers",  # entry points
     "smooth_operator.commands",
     "smooth_operator.methods",
+    "smooth_operator.feedbacks",
     "smooth_operator.writers",
 }
 """Names that are no modules."""

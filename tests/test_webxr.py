@@ -842,9 +842,8 @@ def test_the_page_comes_back_by_itself(cache, chromium, emulator):
         other.goto(f"{first.address}/#{CODE}")
         shows(other, "linked")
         notices = [each.get_by_text("Another headset took over") for each in (page, other)]
-        eventually(
-            lambda: any(notice.is_visible() for notice in notices)
-        )  # a lost link may come back
+        # A page that lost its link on a busy machine may come back after the other one.
+        eventually(lambda: any(notice.is_visible() for notice in notices))
         taken = second.link.session
         assert taken > paired
         page.wait_for_timeout(700)
