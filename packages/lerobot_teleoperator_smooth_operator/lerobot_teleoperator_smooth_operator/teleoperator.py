@@ -255,7 +255,7 @@ class SmoothOperator(Teleoperator):
             feed.close()
             raise
         self._feed = feed
-        self.get_teleop_events()  # keys that were pressed before count for nobody
+        self.get_teleop_events()  # discards the keys that were pressed before
 
     def get_action(self) -> dict[str, float]:
         """Return the newest command in the robot's keys and units, without waiting.

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from smooth_operator import poses
 from smooth_operator.calibration.segments import Prompt
@@ -168,9 +169,7 @@ def _slide(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], fl
 
 def _mean_rotation(rotations: Float[np.ndarray, "n 3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
     """Mean of rotations, and the root mean square of the angles to it [rad]."""
-    left, _, right = np.linalg.svd(rotations.mean(axis=0))
-    mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    angles = np.linalg.norm(
-        poses.rotation_vectors(poses.quaternions(np.swapaxes(rotations, 1, 2) @ mean)), axis=1
-    )
-    return mean, float(np.sqrt(np.mean(angles**2)))
+    turns = Rotation.from_matrix(rotations)
+    mean = turns.mean()
+    angles = (mean.inv() * turns).magnitude()
+    return mean.as_matrix(), float(np.sqrt(np.mean(angles**2)))

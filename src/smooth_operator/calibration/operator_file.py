@@ -21,7 +21,7 @@ from smooth_operator.types import Side, as_side
 FORMAT: Final = "smooth-operator operator"
 VERSION: Final = 1
 
-_MOST_BYTES: Final = 1_000_000  # it has 500 bytes
+_MOST_BYTES: Final = 1_000_000  # a profile has about 500 bytes
 _EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate` or `teleop`"
 
 

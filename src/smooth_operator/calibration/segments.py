@@ -158,7 +158,7 @@ def _runs(
 
 @dataclass(frozen=True)
 class Prompt:
-    """A pose or a motion that the operator is asked for.
+    """A pose or a motion that the program asks the operator for.
 
     Attributes:
         name: name of its frames; the finger of a pinch.

@@ -1,8 +1,8 @@
 """Derives the actions of another robot hand for a LeRobot data set that holds the human hands.
 
-Any data set with the columns of ``episode_files.lerobot.human`` will do: of
-``smooth-operator-lerobot-record``, of ``convert`` or of ``dataset``. The new data set has the same
-episodes, frames, tasks, videos and other columns. Of ``action`` and ``observation.state``, the
+The data set must have the columns of ``episode_files.lerobot.human``, which
+``smooth-operator-lerobot-record``, ``convert`` and ``dataset`` write. The new data set has the same
+episodes, frames, tasks, videos and other columns. In ``action`` and ``observation.state``, the
 joints are those of the new hand, and the wrists (``tcp.…``, ``ee.…``) and arms (``arm_…``) stay.
 
 The action of a frame is the command for its landmarks, and the state is the action of the frame
@@ -280,8 +280,8 @@ def _moved(values: np.ndarray, follows: bool) -> np.ndarray:
 
 @contextmanager
 def _stage(output: Path, key: str) -> Iterator[Path]:
-    """Yields the hidden folder of an unfinished run; another run's with other settings is begun
-    anew."""
+    """Yields the hidden folder of an unfinished run; that of a run with other settings is emptied
+    first."""
     stage = output.with_name(f".{output.name}.unfinished")
     mark = stage / ".parts" / "key.json"
     try:
@@ -341,7 +341,7 @@ def _write_file(
 
 
 def _provenance(dataset: Dataset, configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of ``meta/smooth_operator.json``: what was made from which data set."""
+    """Content of ``meta/smooth_operator.json``: the former data set and the settings."""
     info, mark = dataset.path / "meta" / "info.json", dataset.path / MARK
     source = {
         "path": dataset.path.resolve().as_posix(),

@@ -63,7 +63,7 @@ class ContactMap:
 
     Args:
         scale: scale of the table, or None.
-        limits: (a,) limit of current of each actuator; NaN if it has none.
+        limits: (a,) limit of current of each actuator; NaN for an actuator without a limit.
         joints: (a,) joints that each actuator moves.
         hand: the hand.
     """

@@ -184,7 +184,7 @@ def blank_table(
     ends: tuple[float, float],
     limit: float | None = None,
 ) -> ActuatorMap:
-    """Table for a hand that has none. Every id moves the first joint until a check corrects it.
+    """New table for a hand. Every id moves the first joint until a check corrects it.
 
     Args:
         ends: range in which an actuator may be moved.

@@ -93,10 +93,10 @@ def place(hand: SeenHand, depth: Depth) -> tuple[Float[np.ndarray, "3"], float] 
     column, row = np.rint(pixels[WRIST]).astype(int)
     rows, columns = (slice(max(k - _WINDOW, 0), max(k + _WINDOW + 1, 0)) for k in (row, column))
     window = depth.metres[rows, columns]
-    known = window[window > 0]
-    if not (hand.inside[WRIST] and known.size):
+    measured = window[window > 0]
+    if not (hand.inside[WRIST] and measured.size):
         return None
-    distance = float(np.median(known))
+    distance = float(np.median(measured))
     rays = (pixels - (cx, cy)) / (fx, fy)
     offsets = hand.world - hand.world[WRIST]
     across = (offsets[:, :2] - rays * offsets[:, 2:]).ravel()

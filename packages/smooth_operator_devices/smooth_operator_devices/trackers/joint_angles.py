@@ -159,8 +159,8 @@ def read_hand(
     """Hand of an object with ``angles``.
 
     Args:
-        side: side of the hand if the object has none.
-        received: time of receipt, the stamp if the object has none [s].
+        side: side of the hand, for an object without a side.
+        received: time of receipt, which is the stamp of an object without a stamp [s].
 
     Raises:
         RecordingError: an angle has an unknown name, is not a number, or is too large for the unit.
