@@ -532,6 +532,88 @@ def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
 
 @pytest.mark.lerobot
 @pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+def test_keys_of_teleop_end_an_episode_or_repeat_it(session, plugin, monkeypatch):
+    """LeRobot's own loop, with a robot that counts its actions; the keys come after the third."""
+    from lerobot.processor import make_default_processors
+    from lerobot.scripts.lerobot_record import record_loop
+
+    record = importlib.import_module(f"{TELEOPERATOR}.record")
+    monkeypatch.setattr(plugin.package, "SmoothOperator", record.RecordedOperator)
+    of_action, to_robot, of_observation = make_default_processors()
+    ended = {"exit_early": False, "rerecord_episode": False, "stop_recording": False}
+    for key, events in (
+        ("end", ended),
+        ("success", ended),
+        ("again", ended | {"rerecord_episode": True}),
+    ):
+        now, sent = session(joints=JOINTS), []
+        now.device.connect()
+        now.device.events = dict(ended)
+
+        def move(action: Any, now: Any = now, sent: list[Any] = sent, key: str = key) -> None:
+            sent.append(action)
+            now.clock.now += 0.03
+            now.send(episode={key: len(sent) // 3})
+
+        record_loop(
+            robot=SimpleNamespace(name="arm", get_observation=dict, send_action=move),
+            events=now.device.events,
+            fps=100,
+            teleop_action_processor=of_action,
+            robot_action_processor=to_robot,
+            robot_observation_processor=of_observation,
+            teleop=now.device,
+            control_time_s=5.0,
+        )
+        assert len(sent) == 4
+        assert now.device.events == events
+
+
+@pytest.mark.lerobot
+@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+@pytest.mark.parametrize("wrist", ["quaternion", "rotation_6d"])
+def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
+    """As DAgger does it: LeRobot moves us to the robot, then releases us."""
+    from lerobot.common.control_utils import teleop_smooth_move_to, teleop_supports_feedback
+
+    now = session(joints=JOINTS, unit="degrees", signs={"index_mcp": -1}, wrist=wrist)
+    device, clock = now.device, now.clock
+    half = math.sqrt(0.5)
+    now.wrist = {"pose": [0.3, 0.2, 0.1, half, 0.0, 0.0, half]}
+    device.connect()
+    assert teleop_supports_feedback(device)
+    human = device.get_action()
+    policy = human | {"index_mcp.pos": -70.0, "tcp.x": 0.32, "another.key": 1.0}
+    if wrist == "quaternion":  # the same rotation with the other sign: halfway there is none
+        policy |= {"tcp.qw": -half, "tcp.qz": -half}
+    teleop_smooth_move_to(device, policy, duration_s=0.05, fps=1000)
+    clock.now += 60.0  # the operator is not even there: the action is held
+    held = device.get_action()
+    assert not any(device.get_teleop_events().values())
+    assert held["index_mcp.pos"] == pytest.approx(-70.0)
+    assert held["tcp.x"] == pytest.approx(0.32)
+    now.send()
+    device.disable_torque()
+    actions = [held]
+    for _ in range(200):
+        actions.append(device.get_action())
+        clock.now += 0.01
+        now.send()
+    assert actions[-1] == pytest.approx(human)
+    turns = [key for key in human if key.startswith(("tcp.q", "tcp.r"))]
+    for key in set(human) - set(turns):
+        steps = np.abs(np.diff([action[key] for action in actions]))
+        assert steps.max() < {"tcp.x": 0.0016}.get(key, math.degrees(0.016))
+    turned = np.array([[action[key] for key in turns] for action in actions])
+    assert np.abs(turned - turned[-1]).max() < 1e-6 or np.allclose(turned[0], -turned[-1])
+    device.enable_torque()  # a correction ends: the robot stays
+    now.angles = [1.0, 1.0]
+    now.send()
+    assert device.get_action() == pytest.approx(human)
+
+
+@pytest.mark.lerobot
+@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
 def test_hil_serl_takes_the_events(session):
     from lerobot.processor import AddTeleopEventsAsInfoStep
     from lerobot.teleoperators.utils import TeleopEvents

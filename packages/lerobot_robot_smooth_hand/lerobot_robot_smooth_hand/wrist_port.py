@@ -10,7 +10,12 @@ import numpy as np
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from smooth_operator import poses
-from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, joint_keys, pose_keys
+from smooth_operator.episode_files.lerobot.schema import (
+    WRIST_NAMES,
+    joint_keys,
+    pose_keys,
+    wrist_pose,
+)
 from smooth_operator.teleop.runtime.limiter import PoseLimiter
 from smooth_operator.teleop.runtime.settings import WristConfig
 from smooth_operator.teleop.sinks.sink import Sink
@@ -99,7 +104,7 @@ class WristPort:
         """
         if not self.keys:
             return None, None
-        target = self._pose(np.array([float(action[key]) for key in self.keys]))
+        target = wrist_pose([action[key] for key in self.keys])
         if not self._begun:
             self._limiter.put(target)
             self._begun = True
@@ -142,27 +147,3 @@ class WristPort:
         if self.kind == "rotation_6d":
             turn = poses.rotation_matrices(turn)[:, :2].T.reshape(-1)
         return dict(zip(self.keys, np.concatenate([pose[:3], turn]).tolist(), strict=True))
-
-    def _pose(self, values: np.ndarray) -> np.ndarray:
-        """Convert values, whose rotation may be inexact, to x y z [m] and a unit quaternion
-        wxyz."""
-        if self.kind == "quaternion":
-            length = np.linalg.norm(values[3:])
-            if not 0.1 < length < 10.0:
-                raise ValueError(
-                    f"the action's quaternion is not a rotation: {values[3:].tolist()}"
-                )
-            turn = values[3:] / length
-        else:
-            x, second = values[3:6], values[6:]
-            length = np.linalg.norm(x)
-            x = x / length if length > 0.1 else np.zeros(3)
-            y = second - (x @ second) * x
-            across = np.linalg.norm(y)
-            if length <= 0.1 or across <= 0.1:
-                raise ValueError(
-                    f"the action's rotation_6d is not a rotation: {values[3:].tolist()}"
-                )
-            y = y / across
-            turn = poses.quaternions(np.stack([x, y, np.cross(x, y)], axis=-1))
-        return np.concatenate([values[:3], turn])

@@ -35,6 +35,10 @@ class Follower:
         """Keeps the last values while there is no target."""
         self._held = self.values is not None
 
+    def put(self, values: Sequence[float] | np.ndarray) -> None:
+        """Sets the values that are held; the next target is approached from them."""
+        self.values, self._held = np.asarray(values, np.float64), True
+
     def follow(self, target: Sequence[float], now: float) -> np.ndarray:
         """Computes the values for a target.
 

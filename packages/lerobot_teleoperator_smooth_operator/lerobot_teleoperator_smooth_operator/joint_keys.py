@@ -37,6 +37,10 @@ class JointKey:
         """Converts an angle [rad] to the robot's value."""
         return min(max(self.offset + self.factor * angle, self.low), self.high)
 
+    def angle(self, value: float) -> float:
+        """Converts the robot's value to an angle [rad]."""
+        return (value - self.offset) / self.factor
+
 
 def joint_keys(
     joints: Mapping[str, str],

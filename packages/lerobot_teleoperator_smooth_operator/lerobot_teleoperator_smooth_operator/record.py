@@ -26,6 +26,7 @@ try:
     from lerobot.processor import make_default_processors
     from lerobot.robots import make_robot_from_config
     from lerobot.scripts.lerobot_record import RecordConfig, record_loop
+    from lerobot.teleoperators.utils import TeleopEvents
     from lerobot.utils.import_utils import register_third_party_plugins
     from lerobot.utils.keyboard_input import init_keyboard_listener
     from lerobot.utils.utils import init_logging, log_say
@@ -35,6 +36,25 @@ except ImportError as error:
         "recording needs LeRobot 0.6 or newer with its programs; run: "
         f"python -m pip install 'lerobot[core-scripts]>=0.6' ({error})"
     ) from error
+
+
+class RecordedOperator(SmoothOperator):
+    """Teleoperator whose events end an episode, or repeat it, as LeRobot's arrow keys do.
+
+    Attributes:
+        events: flags of ``record_loop``, which calls ``get_action`` in each step.
+    """
+
+    events: dict[str, bool]
+
+    def get_action(self) -> dict[str, float]:
+        """Return the newest command, and pass new events to ``record_loop``."""
+        new = self.get_teleop_events()
+        if new[TeleopEvents.TERMINATE_EPISODE] or new[TeleopEvents.SUCCESS]:
+            self.events["exit_early"] = True
+        if new[TeleopEvents.RERECORD_EPISODE]:
+            self.events["rerecord_episode"] = True
+        return super().get_action()
 
 
 class HumanHandsDataset(LeRobotDataset):
@@ -99,7 +119,7 @@ def record(cfg: RecordConfig) -> None:
         )
     init_logging()
     data, address = cfg.dataset, {"ip": cfg.display_ip, "port": cfg.display_port}
-    teleop, robot = SmoothOperator(cfg.teleop), make_robot_from_config(cfg.robot)
+    teleop, robot = RecordedOperator(cfg.teleop), make_robot_from_config(cfg.robot)
     of_action, to_robot, of_observation = make_default_processors()
     with ExitStack() as at_end:
         if cfg.display_data:
@@ -112,6 +132,7 @@ def record(cfg: RecordConfig) -> None:
         dataset = _dataset(cfg, robot, teleop.human)
         at_end.enter_context(VideoEncodingManager(dataset))  # encodes and closes the data set
         listener, events = init_keyboard_listener()
+        teleop.events = events
         if listener is not None:
             at_end.callback(listener.stop)
         loop = partial(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
@@ -20,7 +21,7 @@ from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.landmark_steps import LANDMARK_KEYS
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
-from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys
+from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys, wrist_pose
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
@@ -94,6 +95,19 @@ class _HandActions:
         self._joints.hold()
         self._pose.hold()
         self._landmarks[-1] = 0.0
+
+    def put(self, action: Mapping[str, float]) -> None:
+        """Hold an action of the robot, such as that of a policy; other keys are ignored."""
+        angles = self._joints.values
+        if angles is not None:
+            pairs = zip(self.keys, angles, strict=True)
+            self._joints.put(
+                [key.angle(action[key.key]) if key.key in action else angle for key, angle in pairs]
+            )
+        if self.pose_keys and all(key in action for key in self.pose_keys):
+            # LeRobot interpolates each number: halfway a rotation may be none, the end is one.
+            with contextlib.suppress(ValueError):
+                self._pose.put(wrist_pose([action[key] for key in self.pose_keys]))
 
     def follow(self, command: Command, now: float) -> None:
         """Let the next action follow a command."""
@@ -174,7 +188,7 @@ class SmoothOperator(Teleoperator):
         self._newest = Newest(clock)
         self._feed: Feed | None = None
         self._fresh_at: dict[str, float] = {}
-        self._warned = False
+        self._torque = self._warned = False
         self._pressed = dict.fromkeys(_EPISODE, 0)
         self.human = HumanHands([hand.side for hand in self._hands])
 
@@ -194,8 +208,8 @@ class SmoothOperator(Teleoperator):
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """Empty, since the teleoperator takes no feedback."""
-        return {}
+        """Those of an action: LeRobot's DAgger then hands over by ``send_feedback``."""
+        return self.action_features
 
     @property
     def is_connected(self) -> bool:
@@ -230,7 +244,7 @@ class SmoothOperator(Teleoperator):
         config = self.config
         self._newest = Newest(self._clock)
         self._hands = _hands(config)
-        self._fresh_at = {}
+        self._fresh_at, self._torque = {}, False
         feed: Feed
         if config.source:
             feed = InProcess(
@@ -272,7 +286,10 @@ class SmoothOperator(Teleoperator):
             command = self._newest.command(hand.side)
             assert command is not None  # `connect` waited for it
             why = self._stale(hand, command)
-            if why:
+            if self._torque and hand.action() is not None:
+                self._fresh_at[hand.side] = now
+                hand.hold()
+            elif why:
                 held.append(hand.side)
                 hand.hold()
             else:
@@ -312,14 +329,29 @@ class SmoothOperator(Teleoperator):
         before, self._pressed = self._pressed, pressed if commands else self._pressed
         new = {name: self._pressed[name] > before[name] for name in _EPISODE}
         return {
-            TeleopEvents.IS_INTERVENTION: any(each.mode in _MOVING for each in commands),
+            TeleopEvents.IS_INTERVENTION: not self._torque
+            and any(each.mode in _MOVING for each in commands),
             TeleopEvents.TERMINATE_EPISODE: new["end"] or new["again"],
             TeleopEvents.SUCCESS: new["success"],
             TeleopEvents.RERECORD_EPISODE: new["again"],
         }
 
+    def enable_torque(self) -> None:
+        """Hold the action: it follows ``send_feedback``, and not the human."""
+        self._torque = True
+
+    def disable_torque(self) -> None:
+        """Follow the human again: the action moves slowly from the held one to the human's."""
+        self._torque = False
+
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Nothing to do."""
+        """Set the action that is held, such as the last one of a policy (``feedback_features``).
+
+        LeRobot's DAgger calls this while the policy pauses, so that the human takes over where the
+        robot is. There is no force on the human's hand.
+        """
+        for hand in self._hands:
+            hand.put(feedback)
 
     def disconnect(self) -> None:
         """Stop receiving.

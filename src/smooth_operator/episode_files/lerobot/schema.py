@@ -13,6 +13,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from smooth_operator import poses
+
 POSE_NAMES: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
 WRIST_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "none": (),
@@ -30,6 +32,35 @@ def joint_keys(joints: Sequence[str]) -> tuple[str, ...]:
 def pose_keys(names: Sequence[str] = POSE_NAMES) -> tuple[str, ...]:
     """Keys of a wrist's pose in the actions and observations of LeRobot."""
     return tuple(f"tcp.{name}" for name in names)
+
+
+def wrist_pose(values: Sequence[float]) -> np.ndarray:
+    """Pose of a wrist from the values of its keys, whose rotation may be inexact.
+
+    Args:
+        values: x y z [m], and a quaternion wxyz or the first two columns of a rotation matrix.
+
+    Returns:
+        (7,) x y z [m], unit quaternion wxyz.
+
+    Raises:
+        ValueError: the rotation is too far from one.
+    """
+    place, turn = np.split(np.asarray(values, np.float64), [3])
+    if len(turn) == 4:
+        length = np.linalg.norm(turn)
+        if not 0.1 < length < 10.0:
+            raise ValueError(f"the action's quaternion is not a rotation: {turn.tolist()}")
+        return np.concatenate([place, turn / length])
+    x, y = turn[:3], turn[3:]
+    length = np.linalg.norm(x)
+    x = x / length if length > 0.1 else np.zeros(3)
+    y = y - (x @ y) * x
+    across = np.linalg.norm(y)
+    if length <= 0.1 or across <= 0.1:
+        raise ValueError(f"the action's rotation_6d is not a rotation: {turn.tolist()}")
+    y = y / across
+    return np.concatenate([place, poses.quaternions(np.stack([x, y, np.cross(x, y)], axis=-1))])
 
 
 INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
