@@ -149,56 +149,6 @@ def test_human_clips_of_parquet_files_are_read_as_they_were(tmp_path, source):
         assert found.meta.items() >= want.meta.items()
 
 
-def test_the_pipeline_and_the_class_for_map_batches_give_equal_episodes(tmp_path):
-    pa = pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
-    pq = pytest.importorskip("pyarrow.parquet")
-    from smooth_operator.datasets.map_batches import RetargetClips
-
-    source = made_clips.write(tmp_path / "x.made.json", 3, (0.8, 1.0))
-    limits = {"whole": True, "min_seconds": 0.9, "min_reach": 0.0, "max_tip_error": 200.0}
-    limits |= {"max_collision": 1.0}
-    summary = make_dataset(
-        request(
-            source,
-            tmp_path / "out",
-            no_limits=False,
-            **limits,
-        )
-    )
-    (file,) = (tmp_path / "out" / "dataset" / "data").iterdir()
-    written = pq.read_table(file)
-    assert (summary.episodes, summary.dropped) == (written.num_rows, 3 - written.num_rows)
-    assert 0 < summary.dropped < 3
-
-    retarget = RetargetClips(limits=limits, hand="leap_hand", method="joint_angle")
-    refs = [each.ref for each in items(source) if each.ref is not None]
-    rows = [{"name": r.name, "path": str(r.path), "key": r.key, "layout": r.layout} for r in refs]
-    rows.append({**rows[0], "key": "7"})
-    table = retarget(pa.Table.from_pylist(rows))
-    assert table["clip"].to_pylist()[:3] == [ref.name for ref in refs]
-    kept = table.filter(table["kept"])
-    assert kept["name"].to_pylist() == written["name"].to_pylist()
-    for column in ("right_joints", "left_joints", "right_wrist", "figures", "stamps", "task"):
-        assert kept[column].to_pylist() == written[column].to_pylist(), column
-    reasons = [row["reason"] for row in table.to_pylist() if not row["kept"]]
-    assert all("min_seconds" in reason for reason in reasons[:-1])
-    assert "no clip '7'" in reasons[-1]
-    # What Ray Data writes of it is a source again.
-    pq.write_table(kept, tmp_path / "kept.parquet")
-    found = [each.ref for each in items(tmp_path / "kept.parquet", None) if each.ref is not None]
-    assert [(ref.name, ref.layout) for ref in found] == [
-        (name, "parquet") for name in kept["name"].to_pylist()
-    ]
-    # From the arrays of a row in place of its file: the same commands, but for float32.
-    again = retarget(written.select(["name", "stamps", "right_landmarks", "left_landmarks"]))
-    assert again["kept"].to_pylist() == [True] * written.num_rows
-    for row in range(written.num_rows):
-        want, found = (np.array(t["right_joints"][row].as_py()) for t in (written, again))
-        np.testing.assert_allclose(found, want, atol=1e-4)
-    (reason,) = retarget(pa.table({"name": ["x"]}))["reason"].to_pylist()
-    assert "a row needs 'stamps' and landmarks, or 'path' and 'layout'" in reason
-
-
 class Fatal:
     """A reader that kills the process which first reads its fourth clip."""
 

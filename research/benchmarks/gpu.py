@@ -10,6 +10,8 @@ while batches run one after another.
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -22,7 +24,6 @@ import jax
 import numpy as np
 
 from smooth_operator import HandFrame, Retargeter
-from smooth_operator.datasets.pipeline import gpu_samples
 from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator_research.run_report import (
@@ -39,6 +40,11 @@ from smooth_operator_research.run_report import (
 MOTIONS = 32
 COMPARED = 50
 """Number of frames that are compared with those of the CPU."""
+
+
+QUERY = ("--query-gpu=utilization.gpu", "--format=csv,noheader,nounits", "-lms", "250")
+"""Options of ``nvidia-smi`` that print the share of time with a running kernel, four times a
+second."""
 
 
 @dataclass(frozen=True)
@@ -163,11 +169,16 @@ def busy_share(run: Callable[[], Any], least_s: float = 3.0) -> float | None:
     """Share of time in which the GPU runs a kernel while a function is called repeatedly."""
     if jax.devices()[0].platform == "cpu":
         return None
-    with gpu_samples() as samples:
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return None
+    with subprocess.Popen([program, *QUERY], stdout=subprocess.PIPE, text=True) as sampler:
         end = time.perf_counter() + least_s
         while time.perf_counter() < end:
             run()
-    shares = samples[4:]  # the first are of the time before
+        sampler.terminate()
+        lines = sampler.communicate()[0].split()
+    shares = [float(line) / 100 for line in lines if line.isdigit()][4:]  # without the start
     return float(np.mean(shares)) if shares else None
 
 

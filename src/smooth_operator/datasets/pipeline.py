@@ -15,15 +15,11 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import subprocess
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from smooth_operator.atomic_files import claimed, remove_leftovers
 from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
@@ -58,81 +54,20 @@ BATCH: Final = 2048
 balance."""
 
 _BATCHES: Final = 2  # read and waiting, or retargeted and being written
-_QUERY: Final = ("--query-gpu=utilization.gpu", "--format=csv,noheader,nounits", "-lms", "250")
 
 
-@dataclass
-class GpuUse:
-    """The GPU of a run, and how much it was used.
+def gpu_name() -> str:
+    """Name of the first GPU that JAX sees; ConfigError if JAX sees no GPU."""
+    import jax
 
-    Attributes:
-        name: name of the device.
-        frames: number of retargeted frames.
-        seconds: time of the run [s].
-        retargeting: time spent on retargeting and packing [s].
-        busy: share of ``seconds`` in which the GPU ran a kernel; None if it can't be measured.
-    """
-
-    name: str
-    frames: int = 0
-    seconds: float = 0.0
-    retargeting: float = 0.0
-    busy: float | None = None
-
-    @classmethod
-    def of_this_machine(cls) -> GpuUse:
-        """Returns the first GPU that JAX sees; ConfigError if JAX sees no GPU."""
-        import jax
-
-        try:
-            (device, *_) = jax.devices("gpu")
-        except RuntimeError as error:
-            raise ConfigError(
-                f"--device gpu needs a GPU that JAX can use; it sees only {jax.devices()[0]} "
-                "(`smooth-operator doctor` says why). Without it: --device cpu"
-            ) from error
-        return cls(device.device_kind)
-
-    def sentence(self) -> str:
-        """Describes the frames per second and the share of time in which the GPU was busy."""
-        busy = "" if self.busy is None else f"; the GPU was busy {self.busy:.0%} of the time"
-        return (
-            f"{self.name}: {self.frames} frames in {self.seconds:.1f} s "
-            f"({self.frames / max(self.seconds, 1e-9):,.0f} per second), "
-            f"{self.retargeting / max(self.seconds, 1e-9):.0%} of the time for retargeting and "
-            f"packing{busy}"
-        )
-
-    @contextlib.contextmanager
-    def measured(self) -> Iterator[None]:
-        """Measures the time of a block and the load of the GPU."""
-        started = time.perf_counter()
-        with gpu_samples() as samples:
-            try:
-                yield
-            finally:
-                self.seconds += time.perf_counter() - started
-        self.busy = float(np.mean(samples)) if samples else None
-
-
-@contextlib.contextmanager
-def gpu_samples() -> Iterator[list[float]]:
-    """Samples the share of time in which the GPU runs a kernel, four times a second.
-
-    ``nvidia-smi`` measures them; the list is filled at the end, and stays empty without it.
-    """
-    samples: list[float] = []
-    program = shutil.which("nvidia-smi")
-    if program is None:
-        yield samples
-        return
-    with subprocess.Popen([program, *_QUERY], stdout=subprocess.PIPE, text=True) as sampler:
-        try:
-            yield samples
-        finally:
-            sampler.terminate()
-            lines = (sampler.communicate()[0] or "").split()
-            samples += [float(line) / 100 for line in lines if line.isdigit()]
+    try:
+        (device, *_) = jax.devices("gpu")
+    except RuntimeError as error:
+        raise ConfigError(
+            f"--device gpu needs a GPU that JAX can use; it sees only {jax.devices()[0]} "
+            "(`smooth-operator doctor` says why). Without it: --device cpu"
+        ) from error
+    return str(device.device_kind)
 
 
 @contextlib.contextmanager
@@ -153,8 +88,8 @@ def only_cpus_in_children() -> Iterator[None]:
             os.environ["JAX_PLATFORMS"] = before
 
 
-def entries_of_gpu(
-    jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], use: GpuUse, **options: Any
+def results_of_gpu(
+    jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], **options: Any
 ) -> Generator[Results]:
     """Yields the results of jobs: workers read clips, this process retargets ``BATCH`` hands at
     once.
@@ -172,17 +107,12 @@ def entries_of_gpu(
     """
 
     def finish(waiting: list[tuple[Job, list[ReadClip], dict[str, str]]]) -> Results:
-        started = time.perf_counter()
         job = replace(waiting[0][0], items=tuple(i for part, *_ in waiting for i in part.items))
         clips = [clip for _, read, _ in waiting for clip in read]
         reasons = {name: why for *_, own in waiting for name, why in own.items()}
-        done = finish_job(job, clips, reasons)
-        use.retargeting += time.perf_counter() - started
-        use.frames += sum(each.frames for each in done.values() if isinstance(each, Result))
-        return done
+        return finish_job(job, clips, reasons)
 
     with (
-        use.measured(),
         ThreadPoolExecutor(1) as thread,
         contextlib.closing(run_groups(read_job, jobs, split, **options)) as results,
     ):
@@ -269,7 +199,7 @@ def make_dataset(
             "a GPU can be used on this machine, but not on a cluster; for several GPUs start one "
             "run per GPU with --shard I/N, and run --merge at the end"
         )
-    gpu = GpuUse.of_this_machine() if on_gpu else None
+    gpu = gpu_name() if on_gpu else None
     work = request.packs / name
     own = work if shard is None else work / "shard-{:05d}-of-{:05d}".format(*shard)
     own.mkdir(parents=True, exist_ok=True)
@@ -287,8 +217,9 @@ def make_dataset(
             reasons |= refused(items, request.output, REPORT)
             items = [item for item in items if item.name not in reasons]
         finished = {} if again else _finished(Store(work), items, recipe)
+        before = len(finished)
         left = [item for item in items if item.name not in finished]
-        line = f"{len(left)} to retarget, {len(finished)} already done"
+        line = f"{len(left)} to retarget, {before} already done"
         if survey.passed_over:
             kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
             line += f"; skipped (unknown format): {kinds}"
@@ -318,6 +249,7 @@ def make_dataset(
                             finished[item] = result
         if shard is not None:
             return Summary.of_shard(request.output, shard, finished, reasons)
+        notes = [f"retargeted on {gpu}"] if gpu is not None and len(finished) > before else []
         if not request.merge:
             Store(work).remove_superseded(finished)
         shortest = getattr(WRITERS.load(request.format), "shortest", 2)
@@ -333,7 +265,7 @@ def make_dataset(
             reasons,
             survey.passed_over,
             reporter,
-            [] if gpu is None or gpu.frames == 0 else [gpu.sentence()],
+            notes,
         )
         if request.mirror:  # the results of other settings and other code are replaced
             for other in request.packs.iterdir():
@@ -406,7 +338,7 @@ def _retargeted(
     request: DatasetRequest,
     recipe: Recipe,
     reporter: Reporter,
-    gpu: GpuUse | None,
+    gpu: str | None,
 ) -> Generator[Results]:
     """Yields the results of all items. Items whose worker died are tried once more, each alone."""
 
@@ -432,12 +364,12 @@ def _retargeted(
 def _packs(
     jobs: Sequence[Job],
     split: Callable[[Job], Sequence[Job]],
-    gpu: GpuUse | None,
+    gpu: str | None,
     **options: Any,
 ) -> Generator[Results]:
     """Yields the results of each pack; either workers or a GPU retarget the clips."""
     if gpu is not None:
-        yield from entries_of_gpu(jobs, split, gpu, **options)
+        yield from results_of_gpu(jobs, split, **options)
         return
     with contextlib.closing(run_groups(do_job, jobs, split, **options)) as results:
         for job, result in results:

@@ -330,11 +330,6 @@ def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
     return arrays, document
 
 
-def as_stored(whole: RobotClip) -> RobotClip:
-    """Returns a clip as it will be read from a pack, where some arrays are rounded to float32."""
-    return replace(decoded(*encoded(whole)), config=whole.config)
-
-
 def decoded(arrays: Mapping[str, np.ndarray], document: Any) -> RobotClip:
     """Decodes the result of ``encoded``; the clip has no configuration and no quality metrics."""
 

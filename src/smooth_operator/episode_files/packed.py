@@ -73,7 +73,7 @@ class Packed:
             raise damaged(ref.path, f"Parquet: {error}") from error
 
 
-def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
+def clip_of_row(table: Any, row: int, path: Path) -> Clip:
     """Makes a clip from a row of an Arrow table with the columns of the Parquet writer.
 
     ``stamps`` and one of ``right_landmarks`` and ``left_landmarks`` are required; the other columns
@@ -82,13 +82,13 @@ def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
     Args:
         table: table whose lists have one item per frame; points are lists of 63 numbers, or of
             21 times 3.
-        path: the file, for the clip's source and for messages; None for a clip in memory.
+        path: the file, for the clip's source and for messages.
 
     Raises:
         RecordingError: a column is missing, or does not have the same number of frames as
             ``stamps``.
     """
-    where = "the row" if path is None else str(path)
+    where = str(path)
     text = {name: _text(table, name, row) for name in _TEXTS}
     name = str(text["name"] or row)
     stamps = _numbers(table, "stamps", row, None)
@@ -128,7 +128,7 @@ def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
         name,
         hands,
         str(text["layout"] or "parquet"),
-        () if path is None else (path,),
+        (path,),
         text["task"],
         {side: sure for side, sure in confidence.items() if side in hands},
         rows("camera", 7),

@@ -7,7 +7,7 @@ length and rate fill it.
 
 The result of a recording depends only on the recording, the retargeter and the number of lanes: not
 on the other recordings, their order, or the lane. It equals that of ``Retargeter.run`` except for
-rounding.
+rounding, which the solver of ``smooth`` amplifies (docs/reference/methods.md).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ the rows again. The ``unnest`` function of query engines gives one row per frame
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -17,7 +17,6 @@ from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import (
     clip_arrays,
     clip_document,
-    clip_key,
     resampled,
 )
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
@@ -121,16 +120,6 @@ class _Writer(ShardedWriter):
 
     def _clean(self, number: int) -> None:
         remove(self._path(number))
-
-
-def clips_table(clips: Sequence[RobotClip]) -> Any:
-    """Arrow table of clips as a Parquet file contains it, without configurations; MissingExtraError
-    if PyArrow is not installed."""
-    pa = arrow()
-    rows = [(clip_document(c, c.key or clip_key(c), ""), clip_arrays(c)) for c in clips]
-    columns = _columns()
-    schema = pa.schema([pa.field(name, kind) for name, (kind, _) in columns.items()])
-    return pa.Table.from_arrays([make(rows) for _, make in columns.values()], schema=schema)
 
 
 _Rows = list[tuple[dict[str, Any], dict[str, np.ndarray]]]
