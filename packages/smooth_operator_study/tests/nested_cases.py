@@ -10,9 +10,6 @@ import numpy as np
 from study_cases import ITEMS, POINTS, Row, holes, simulate
 
 from smooth_operator_study.analysis.frame import Frame, make_frame
-from smooth_operator_study.analysis.mixed import fit_mixed
-from smooth_operator_study.analysis.models import coefficients, compare, linear_means
-from smooth_operator_study.analysis.results import ScopeResult
 
 SCRIPT = Path(__file__).with_name("study_nested.R")
 REFERENCE = Path(__file__).with_name("study_nested.json")
@@ -79,30 +76,4 @@ def frame_of(rows: list[Row]) -> Frame:
         columns["operator"],
         columns["index"].astype(float),
         "dexpilot",
-    )
-
-
-def intercepts_with_t(frame: Frame, *, limits: bool = False) -> ScopeResult:
-    """A random intercept for each operator, as in mode paper, with Satterthwaite's t.
-
-    No mode reports it, but learning has its degrees of freedom, and R's figures of it are at hand.
-    """
-    design, names = frame.design()
-    fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
-    means = linear_means(frame, fit.beta)
-    compared = compare(
-        means, fit.covariance, fit.satterthwaite, lambda a, b: a - b, frame.baseline, limits=limits
-    )
-    return ScopeResult(
-        coefficients=coefficients(names, fit.beta, fit.covariance, fit.satterthwaite),
-        emm=compared.emm,
-        dunnett=compared.dunnett,
-        pairs=compared.pairs,
-        n=len(frame),
-        operators=len(frame.operators),
-        model={
-            "dunnett_correlation": compared.correlation,
-            "sd_operator": fit.variances["operator"] ** 0.5,
-            "log_likelihood": fit.log_likelihood,
-        },
     )

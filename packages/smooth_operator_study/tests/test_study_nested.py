@@ -10,7 +10,6 @@ import pytest
 from nested_cases import REFERENCE, ask_r, frame_of, nested_rows
 from study_cases import Row
 
-from smooth_operator.errors import StudyError
 from smooth_operator_study.analysis.frame import make_frame
 from smooth_operator_study.analysis.gee import mancl_derouen
 from smooth_operator_study.analysis.learning import linear_slope
@@ -74,37 +73,6 @@ def test_some_of_the_cases_are_singular():
     assert {"operator", "operator:retargeter", "operator:retargeter:task"} <= set(zero)
 
 
-def test_the_end_of_the_search_is_the_minimum():
-    """The criterion with whole matrices, minimised by another program from several places."""
-    from scipy.optimize import minimize
-
-    for name in ("own holes tlx A", "few time pooled"):
-        frame = frame_of(CASES[name])
-        design = frame.design()[0]
-        fit = fit_mixed(design, frame.outcome, frame.levels)
-        same = [(codes[:, None] == codes).astype(float) for codes in frame.levels.values()]
-        rows, width = design.shape
-
-        def deviance(roots: np.ndarray) -> float:
-            h = np.eye(rows) + sum(r**2 * s for r, s in zip(roots, same, strict=True))  # noqa: B023
-            inverse = np.linalg.inv(h)
-            matrix = design.T @ inverse @ design  # noqa: B023
-            beta = np.linalg.solve(matrix, design.T @ inverse @ frame.outcome)  # noqa: B023
-            left = frame.outcome - design @ beta  # noqa: B023
-            free = rows - width  # noqa: B023
-            variance = left @ inverse @ left / free
-            logs = np.linalg.slogdet(h)[1] + np.linalg.slogdet(matrix)[1]
-            return float(logs + free * (1 + np.log(2 * np.pi * variance)))
-
-        here = deviance(np.sqrt(fit.ratios))
-        assert here == pytest.approx(-2 * fit.log_likelihood, abs=1e-8)
-        for start in (0.2, 1.5):
-            other = minimize(
-                deviance, np.full(len(same), start), method="Nelder-Mead", options={"maxiter": 60}
-            )
-            assert here <= other.fun + 1e-8
-
-
 def test_levels_that_can_not_be_told_apart_are_left_out():
     """One task for each operator: a block is an operator with one retargeter."""
     frame = frame_of(CASES["own time A"])
@@ -128,13 +96,6 @@ def test_operators_that_differ_hugely_change_nothing_within_them():
     assert far.satterthwaite(contrast) == pytest.approx(again.satterthwaite(contrast), rel=1e-5)
     # Operators who differ little tell something of the difference, too: 32.91 and 32.71.
     assert far.satterthwaite(contrast) == pytest.approx(near.satterthwaite(contrast), rel=0.01)
-
-
-def test_blocks_without_any_residual_are_refused():
-    frame = frame_of(CASES["own time A"])
-    level = frame.levels["operator:retargeter"].astype(float)
-    with pytest.raises(StudyError, match="without any residual"):
-        fit_mixed(frame.design()[0], np.sin(level), frame.levels)
 
 
 def test_what_suits_operators_is_said_with_its_size():

@@ -6,14 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nested_cases import intercepts_with_t
 
 from conftest import SHARED
 from smooth_operator_study.analysis import analyze_study
-from smooth_operator_study.analysis.frame import frame_of
-from smooth_operator_study.analysis.results import plain
 from smooth_operator_study.data import StudyData, read_study
-from smooth_operator_study.data.rows import answers
 
 pytestmark = pytest.mark.shared
 
@@ -46,19 +42,6 @@ def results(data: StudyData) -> dict[str, Any]:
     return analyze_study(data, "dexpilot").to_json()
 
 
-@pytest.fixture(scope="module")
-def of_t(data: StudyData) -> dict[str, Any]:
-    assert data.questionnaires is not None
-    rows = data.outcomes()
-    return {
-        outcome: {
-            scope: plain(intercepts_with_t(frame_of(rows[outcome], scope, "dexpilot")))
-            for scope in SCOPES
-        }
-        for outcome in ("time", "tlx")
-    }
-
-
 def close(found: Any, expected: Any, rel: float = 0.0, abs_: float = 0.0) -> None:
     np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rel, abs_)
 
@@ -69,48 +52,37 @@ def column(table: dict[str, dict[str, Any]], name: str) -> list[Any]:
 
 @pytest.mark.parametrize("scope", SCOPES)
 @pytest.mark.parametrize("outcome", ["time", "tlx"])
-def test_mixed_models(oracle, results, of_t, outcome, scope):
-    """Random intercepts of operators: as mode paper has them, and with Satterthwaite's t."""
-    expected = oracle[outcome][scope]["REML"]
-    for mode, of in (("paper", "asymptotic"), ("t", "satterthwaite")):
-        found = results[mode][outcome][scope] if mode == "paper" else of_t[outcome][scope]
-        assert found["n"] == oracle[outcome][scope]["n_obs"]
-        assert found["operators"] == oracle[outcome][scope]["n_groups"]
-        table, reference = found["coefficients"], expected["coef"]
-        assert list(table) == list(reference)
-        close(column(table, "estimate"), column(reference, "est"), LMM)
-        close(column(table, "se"), column(reference, "se"), SE)
-        p = "p_z" if mode == "paper" else "p_satterthwaite"
-        close(column(table, "p"), column(reference, p), abs_=1e-7)
-        means, reference = found["emm"], expected[of]["emm"]
-        assert list(means) == list(reference)
-        for name, other, rel in (
-            ("estimate", "emm", LMM),
-            ("se", "se", SE),
-            ("lower", "lcl", SE),
-            ("upper", "ucl", SE),
-        ):
-            close(column(means, name), column(reference, other), rel)
-        tests, reference = found["dunnett"], expected[of]["vs_dexpilot"]
-        assert tuple(tests) == OTHERS
-        close(column(tests, "difference"), column(reference, "estimate"), LMM)
-        close(column(tests, "se"), column(reference, "se"), SE)
-        close(column(tests, "p_raw"), column(reference, "p_raw"), abs_=1e-7)
-        close(column(tests, "p_dunnett"), column(reference, "p_dunnett_exact"), abs_=1e-8)
-        close(found["model"]["dunnett_correlation"], expected[of]["dunnett_corr"], 1e-6)
-        if mode == "paper":
-            close(column(tests, "lower"), column(reference, "simult_lcl"), 1e-6, 1e-6)
-            close(column(tests, "upper"), column(reference, "simult_ucl"), 1e-6, 1e-6)
-        else:
-            close(column(table, "df"), column(expected["coef"], "df_satterthwaite"), 1e-5)
-            close(column(means, "df"), column(expected[of]["emm"], "df"), 1e-5)
-            close(column(tests, "df"), column(reference, "df"), 1e-5)
-        pairs, reference = found["pairs"], expected[of]["pairwise"]
-        assert list(pairs) == list(reference)
-        close(column(pairs, "difference"), column(reference, "estimate"), LMM)
-        close(column(pairs, "se"), column(reference, "se"), SE)
-        close(column(pairs, "p_holm"), column(reference, "p_holm"), abs_=1e-7)
-    model = results["paper"][outcome][scope]["model"]
+def test_mixed_models(oracle, results, outcome, scope):
+    """Random intercepts of operators, as mode paper has them."""
+    expected, found = oracle[outcome][scope]["REML"], results["paper"][outcome][scope]
+    of = expected["asymptotic"]
+    assert found["n"] == oracle[outcome][scope]["n_obs"]
+    assert found["operators"] == oracle[outcome][scope]["n_groups"]
+    for name, reference, columns in (
+        ("coefficients", expected["coef"], {"estimate": ("est", LMM, 0), "p": ("p_z", 0, 1e-7)}),
+        ("emm", of["emm"], {"estimate": ("emm", LMM, 0), "lower": ("lcl", SE, 0)}),
+        (
+            "dunnett",
+            of["vs_dexpilot"],
+            {
+                "difference": ("estimate", LMM, 0),
+                "p_raw": ("p_raw", 0, 1e-7),
+                "p_dunnett": ("p_dunnett_exact", 0, 1e-8),
+                "lower": ("simult_lcl", 1e-6, 1e-6),
+                "upper": ("simult_ucl", 1e-6, 1e-6),
+            },
+        ),
+        (
+            "pairs",
+            of["pairwise"],
+            {"difference": ("estimate", LMM, 0), "p_holm": ("p_holm", 0, 1e-7)},
+        ),
+    ):
+        assert list(found[name]) == list(reference)
+        for mine, (theirs, rel, abs_) in ({"se": ("se", SE, 0)} | columns).items():
+            close(column(found[name], mine), column(reference, theirs), rel, abs_)
+    model = found["model"]
+    close(model["dunnett_correlation"], of["dunnett_corr"], 1e-6)
     close(model["sd_operator"], expected["sd_operator"], 1e-5)
     close(model["sd_residual"], expected["sd_residual"], 1e-6)
     close(model["log_likelihood"], expected["loglik"], 1e-10)
@@ -187,14 +159,3 @@ def test_rank_correlations(oracle, results):
             # Both are of 4,000 random draws.
             boot = expected["ci_boot_operators"][end]
             close(found["ci_boot_operators"][end], boot, abs_=0.03)
-
-
-def test_single_scales_of_the_tlx(oracle, data):
-    for item, expected in oracle["tlx_items"].items():
-        frame = frame_of(answers(data.questionnaires, item), "pooled", "dexpilot")
-        found = plain(intercepts_with_t(frame))
-        close(column(found["emm"], "estimate"), column(expected["emm"], "emm"), LMM)
-        close(column(found["emm"], "se"), column(expected["emm"], "se"), SE)
-        against = expected["vs_dexpilot"]
-        close(column(found["dunnett"], "difference"), column(against, "estimate"), LMM)
-        close(found["model"]["sd_operator"], expected["sd_operator"], 1e-5)
