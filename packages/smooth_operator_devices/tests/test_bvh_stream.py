@@ -73,6 +73,7 @@ def test_both_hands_of_every_form_of_frame(skeleton, packet):
         for k in range(FRAMES):
             send(packet(k))
             until(lambda k=k: mailbox.received == 2 * (k + 1))
+        assert source.health().state == "running"
         for k, arrival in enumerate(mailbox.all):
             side = arrival.frame.side
             points = expected(side)[k // 2]
@@ -83,7 +84,6 @@ def test_both_hands_of_every_form_of_frame(skeleton, packet):
             assert arrival.stamp == arrival.received
             sign = 1.0 if side == "right" else -1.0
             assert sign * chirality(arrival.frame.landmarks[None])[0] > 0.1
-        assert source.health().state == "running"
 
 
 def test_only_the_chosen_person_and_hand_are_used(skeleton):

@@ -24,7 +24,6 @@ from live_time import PATIENCE_S, until
 from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
-from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.teleop.components import build_sink
@@ -138,22 +137,6 @@ def test_inspire_sets_its_limits_and_says_what_the_motors_report(closing):
     assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
     assert reading.currents.tolist() == [0, 0, 0, 1500, 0, 0]
     assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]
-
-
-def test_inspire_follows_a_run_of_teleop(capsys, closing):
-    needs("inspire")
-    hand = InspireHand()
-    server = TcpServer(hand)
-    closing(server)
-    sink = f"inspire:127.0.0.1:{server.port},approach=5"
-    argv = ["teleop", "--hand", "inspire_hand", "--method", "joint_angle", "--source"]
-    assert main([*argv, "synthetic", "--sink", sink, "--no-view", "--duration", "0.8"]) == 0
-    targets = np.array(hand.servos.targets)
-    assert len(targets) > 10
-    assert np.ptp(targets, axis=0).max() > 20  # the operator's fingers move
-    assert np.abs(np.diff(targets, axis=0)).max() <= 5 * 1000 / 0.6 * 0.2  # and none jumps
-    assert not hand.servos.outside
-    assert "inspire" in capsys.readouterr().err
 
 
 def test_linker_frames(monkeypatch, closing):
@@ -289,35 +272,6 @@ def test_linker_models_report_heat_and_faults_and_take_limits(
     if device._model.clear:
         until(lambda: not whole())
         until(lambda: np.abs(device.read().positions - goals).max() < 1)
-
-
-def test_linker_model_without_a_table_gets_one_from_a_check(closing, tmp_path, monkeypatch):
-    """The L25 with 16 motors, as its page says."""
-    needs("linker-l20")
-    import can
-    from simulators.common import serve_can
-    from simulators.linkerhand_can import LinkerHand
-
-    wire = f"protocol-{next(_channels)}-{os.getpid()}"
-    served = contextlib.ExitStack()
-    hand = LinkerHand("L25 linkerbot", "right")
-    served.enter_context(serve_can(hand, can.Bus(wire, interface="virtual")))
-    closing(served)
-    joint = load_hand("sharpa_wave", side="right").actuated_names[3]
-    replies = iter([joint, "k", "", "", "q"])
-    monkeypatch.setattr("builtins.input", lambda _: next(replies, "q"))
-    output = tmp_path / "l25.toml"
-    argv = ["hardware", "check", f"linker:virtual:{wire},model=l25_16", "--hand", "sharpa_wave"]
-    argv += ["--ids", "0-15", "--unit", "0-255", "--ends", "0", "255", "--output", str(output)]
-    assert main(argv) == 0
-    written = read_table(output)
-    assert (written.driver, written.unit, len(written.actuators)) == ("linker", "0-255", 16)
-    assert written.actuators[0].joints == {joint: 1.0}
-    sink = build_sink(f"linker:virtual:{wire},model=l25_16,table={output}")
-    device = sink.device(sink.actuators("right"))
-    closing(device)
-    device.open()
-    assert device.read().positions.tolist() == hand.motors.positions.round().tolist()
 
 
 def test_linker_o6_reports_currents(closing):

@@ -84,15 +84,6 @@ def test_revo3_relaxes_to_zero_force_and_reports_faults_and_heat(hand, open_devi
     assert hand.motors.powered.all()
 
 
-@pytest.mark.parametrize("kind", ["timeout", "fault"])
-def test_revo3_failed_calls_are_wrong_answers(hand, open_device, kind):
-    device = open_device()
-    hand.faults.answer_wrongly(kind)
-    with pytest.raises(WrongAnswerError, match="revo3: state failed"):
-        device.read()
-    assert device.read().positions.tolist() == [0.0] * 21
-
-
 def test_revo3_outage_restart_and_a_second_program(hand, open_device):
     device = open_device()
     device.write(np.zeros(21))

@@ -2,21 +2,17 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_time import until
 
-from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator_devices.hands import bus_lock
-from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table, write_table
+from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table
 from smooth_operator_devices.hands.device import WrongAnswerError
 from smooth_operator_devices.hands.drivers import modbus_line
 from smooth_operator_devices.hands.drivers.rohand import RohandDevice
-from smooth_operator_devices.hands.table_check import ActuatorMover
 
 pytest.importorskip("pymodbus", reason="needs pymodbus")
 pytest.importorskip("termios", reason="needs a pty")
@@ -136,39 +132,3 @@ def test_rohand_recovers_from_the_questions_of_another_program(hand, line):
     line.second_program(request + crc(request))
     until(lambda: works(device) and works(device))
     device.close()
-
-
-def test_a_second_run_on_the_port_of_a_rohand_is_refused(hand, line, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
-    path = stand_in(tmp_path)
-    lock = bus_lock.BusLock(line.port)
-    sink = f"rohand:{line.port},table={path}"
-    assert main(["hardware", "monitor", sink, "--seconds", "0.1"]) != 0
-    assert "in use by another run" in capsys.readouterr().err.replace("\n", " ")
-    lock.release()
-    assert main(["hardware", "monitor", sink, "--seconds", "0.1"]) == 0
-
-
-def test_hardware_check_writes_the_table_of_a_rohand(hand, line, tmp_path, monkeypatch):
-    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
-    replies = iter(["", "k", "k", "", "80", "q"])
-    monkeypatch.setattr("builtins.input", lambda _: next(replies))
-    quick: Any = ActuatorMover.__init__
-    monkeypatch.setattr(
-        ActuatorMover, "__init__", lambda self, d, t: quick(self, d, t, seconds=0.05)
-    )
-    output = tmp_path / "measured.toml"
-    sink = f"rohand:{line.port},table={stand_in(tmp_path)}"
-    assert main(["hardware", "check", sink, "--output", str(output)]) == 0
-    measured = read_table(output).actuators[0]
-    assert measured.points == ((0.0, 0.0), (pytest.approx(np.deg2rad(80)), 65535.0))
-
-
-def stand_in(folder: Path) -> Path:
-    """The table with the joints of a hand of the catalogue, which also has six motors."""
-    joints = ("thumb_proximal_pitch_joint", "index_proximal_joint", "middle_proximal_joint")
-    joints += ("ring_proximal_joint", "pinky_proximal_joint", "thumb_proximal_yaw_joint")
-    rows = tuple(replace(a, joints={j: 1.0}) for a, j in zip(TABLE.actuators, joints, strict=True))
-    path = folder / "stand_in.toml"
-    write_table(replace(TABLE, hand="inspire_hand", actuators=rows), path)
-    return path

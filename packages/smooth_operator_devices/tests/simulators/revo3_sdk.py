@@ -17,8 +17,7 @@ expires without commands (100 ms by default). Moving beside an open session is a
 Errors are SdkError with code, retryable, operation_effect and recovery_requirement. Only the
 21-joint Ultra can be moved.
 
-Not found: what the hand does when a session expires (here it holds its target), what
-`software_stop` does (here it holds, and refuses commands until `recover_software_stop`), whether
+Not found: what the hand does when a session expires (here it holds its target), whether
 targets out of range are refused (here they are, as InvalidArgument), fault codes of motors, the
 identifier of the layout, and defaults of the gains. Touch, calibration, configuration, updates,
 currents and the SDK's own trajectories (`move_to` and the like) are not here.
@@ -26,12 +25,11 @@ currents and the SDK's own trajectories (`move_to` and the like) are not here.
 
 from __future__ import annotations
 
-import asyncio
 import enum
 import math
 import time
 import types
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,10 +52,6 @@ COUNT = 21
 
 class _Int(enum.Enum):
     def __int__(self) -> int:
-        return self.value
-
-    @property
-    def int_value(self) -> int:
         return self.value
 
 
@@ -140,18 +134,6 @@ class HandState:
     operating_states: list[int]
     timestamp: Timestamp
 
-    @property
-    def positions_rad(self) -> list[float]:
-        return [math.radians(value) for value in self.positions_deg]
-
-    @property
-    def velocities_rad_s(self) -> list[float]:
-        return [value * 2 * math.pi / 60 for value in self.velocities_rpm]
-
-    @property
-    def currents_a(self) -> list[float]:
-        return [value / 1000 for value in self.currents_ma]
-
 
 @dataclass
 class HealthSnapshot:
@@ -164,10 +146,6 @@ class HealthSnapshot:
     power_w: float = 4.8
     error_code: int = 0
     system_state: int = 0
-
-    @property
-    def faulted_motor_count(self) -> int:
-        return sum(code != 0 for code in self.motor_fault_codes)
 
 
 @dataclass
@@ -232,7 +210,6 @@ class Revo3:
         """Switch the hand off and on: position mode, no faults; open hands lose it."""
         self.control_mode = HandControlMode.Position
         self.motor_faults = [0] * COUNT
-        self.stopped = False
         self.sessions: list[ServoSession] = []
         self.motors.place(self.motors.positions)
         self.motors.set_power(True)
@@ -270,20 +247,11 @@ class Revo3:
                     SdkErrorCode.InvalidArgument,
                     f"{JOINTS[joint]}: {target} is not in {low} to {high} degrees",
                 )
-        if self.stopped:
-            raise SdkError(SdkErrorCode.InvalidState, "software stop", recovery="OperatorAction")
         self.transact()
         self.sent.append((kind, list(targets)))
         for joint, target in zip(joints, targets, strict=True):
             self.motors.set_power(not self.motor_faults[joint], [joint])
             self.motors.move([target], [joint])
-
-
-def _finger(finger_index: int) -> range:
-    if not 1 <= finger_index <= 4:
-        raise SdkError(SdkErrorCode.InvalidArgument, f"finger_index {finger_index} is not 1 to 4")
-    first = 4 * (4 - finger_index)  # fingers count from the index, joints from the pinky
-    return range(first, first + 4)
 
 
 class ServoSession:
@@ -308,23 +276,6 @@ class ServoSession:
         self._feed()
         self._hand.move("servo position", range(COUNT), position_deg)
 
-    async def send_impedance(
-        self, position_deg: Sequence[float], velocity_rpm: Sequence[float], kp: float, kd: float
-    ) -> None:
-        self._feed()
-        self._hand.move("servo impedance", range(COUNT), position_deg)
-
-    async def send_mit(
-        self,
-        position_deg: Sequence[float],
-        velocity_rpm: Sequence[float],
-        kp: Sequence[float],
-        kd: Sequence[float],
-        feedforward_current_ma: Sequence[float],
-    ) -> None:
-        self._feed()
-        self._hand.move("servo mit", range(COUNT), position_deg)
-
     def close(self) -> None:
         self._closed = True
 
@@ -345,40 +296,6 @@ class Motion:
         self._hand.sessions.append(session)
         return session
 
-    async def set_position(self, position_deg: Sequence[float]) -> None:
-        self._alone()
-        self._hand.move("position", range(COUNT), position_deg)
-
-    async def set_joint_position(self, joint_index: int, position_deg: float) -> None:
-        self._alone()
-        self._hand.move("joint", [joint_index], [position_deg])
-
-    async def set_finger_position(self, finger_index: int, position_deg: Sequence[float]) -> None:
-        self._alone()
-        self._hand.move("finger", _finger(finger_index), position_deg)
-
-    async def set_thumb_position(self, position_deg: Sequence[float]) -> None:
-        self._alone()
-        self._hand.move("thumb", range(16, 21), position_deg)
-
-    async def set_mit(
-        self,
-        position_deg: Sequence[float],
-        velocity_rpm: Sequence[float],
-        kp: Sequence[float],
-        kd: Sequence[float],
-        feedforward_current_ma: Sequence[float],
-    ) -> None:
-        self._alone()
-        for values in (velocity_rpm, kp, kd, feedforward_current_ma):
-            if len(values) != COUNT:
-                raise SdkError(SdkErrorCode.InvalidArgument, f"expected {COUNT} values")
-        self._hand.move("mit", range(COUNT), position_deg)
-
-    async def get_control_mode(self) -> enum.Enum:
-        self._hand.transact()
-        return self._hand.control_mode
-
     async def set_control_mode(self, mode: enum.Enum) -> None:
         self._alone()
         self._hand.transact()
@@ -389,29 +306,6 @@ class Motion:
         self._alone()
         self._hand.transact()
         self._hand.motors.set_power(not enabled)
-
-    async def software_stop(self) -> None:
-        self._hand.transact()
-        self._hand.stopped = True
-        self._hand.motors.move(self._hand.motors.positions)
-
-    async def recover_software_stop(self) -> None:
-        self._hand.transact()
-        self._hand.stopped = False
-
-
-class StateSubscription:
-    def __init__(self, read: Callable[[], Awaitable[HandState]], period: float) -> None:
-        self._read, self._period, self._closed = read, period, False
-
-    async def next(self) -> HandState:
-        if self._closed:
-            raise SdkError(SdkErrorCode.InvalidState, "subscription is closed")
-        await asyncio.sleep(self._period)
-        return await self._read()
-
-    def close(self) -> None:
-        self._closed = True
 
 
 class State:
@@ -429,9 +323,6 @@ class State:
             self._hand.now(),
         )
 
-    def subscribe(self, period: float | None = None) -> StateSubscription:
-        return StateSubscription(self.snapshot, 0.02 if period is None else period)
-
 
 class Health:
     def __init__(self, hand: Revo3) -> None:
@@ -441,8 +332,6 @@ class Health:
         self._hand.transact()
         faults = list(self._hand.motor_faults)
         state = SafetyState.Faulted if any(faults) else SafetyState.Operational
-        if self._hand.stopped:
-            state = SafetyState.RecoveryRequired
         return HealthSnapshot(faults, state, self._hand.now())
 
     async def clear_motor_faults(self) -> None:
@@ -453,10 +342,6 @@ class Health:
     async def motor_module_temperatures_c(self) -> list[float]:
         self._hand.transact()
         return self._hand.motors.temperatures.tolist()
-
-    async def motor_online_mask(self) -> int:
-        self._hand.transact()
-        return sum(1 << joint for joint in range(COUNT) if joint not in self._hand.offline)
 
 
 class Hand:
@@ -555,7 +440,7 @@ def revo3_modules(*hands: Revo3) -> dict[str, types.ModuleType]:
     public = (HandSide, HandControlMode, Revo3Model, SafetyState, SdkErrorCode, ServoSessionState)
     public += (ProtocolType, TimestampClock, OperationEffect, RecoveryRequirement, Rs485Baudrate)
     public += (CanFdBaudrate, SdkError, Timestamp, HandState, HealthSnapshot, DeviceInfo, Health)
-    public += (DetectedDevice, JointLayout, ServoSession, Motion, StateSubscription, State, Hand)
+    public += (DetectedDevice, JointLayout, ServoSession, Motion, State, Hand)
     public += (Manager,)
     main = module("bc_revo3_sdk.main_mod", **{one.__name__: one for one in public})
     main.get_sdk_version = lambda: "2.3.2"

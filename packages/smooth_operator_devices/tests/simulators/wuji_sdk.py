@@ -2,8 +2,7 @@
 
 Source, by the maker (Wuji Technology): `wuji-sdk` 2026.10.26 (package index):
 `wuji_sdk/__init__.pyi` (calls, fields, comments), its METADATA (examples), and what its functions
-answer without a hand: `nid_to_joint_index`, `joint_index_to_nid`, `describe_error`,
-`SdkManager.connect`.
+answer without a hand: `nid_to_joint_index`, `describe_error`, `SdkManager.connect`.
 
 Facts: `SdkManager.instance().scan()` and `connect(sn= | address= | handedness=, device_name=)`; the
 fourth character of a serial number is J on the left and K on the right. 20 joints, fingers from
@@ -18,16 +17,15 @@ that it needs a restart. The package has no `control_mode` of a Wuji Hand 2: `Co
 Importing the real package prints a privacy notice: it reports its use, unless
 WUJI_TELEMETRY_DISABLE=1 is set.
 
-Not found: defaults (here: not enabled, effort limit 1.5 A, kp 3, kd 0.1), ranges of the joints, the
+Not found: defaults (here: not enabled, effort limit 1.5 A), ranges of the joints, the
 numbers and names of `ext_state` (here 0 "Disabled", 1 "Enabled", 2 "Fault"), the native rate of the
 states (here 500 Hz) and how many frames wait unread (here one), the texts of exceptions in an
 outage, whether a joint's fault stops the others (here it does not), and after which time without
-commands CommTimeout (0x1002) comes (here `command_timeout`, off by default).
+commands CommTimeout (0x1002) comes (here never).
 """
 
 from __future__ import annotations
 
-import asyncio
 import time
 import types
 from collections.abc import Callable
@@ -56,10 +54,6 @@ _FAULTS = {  # name, severity, clear policy: what the package says of these code
 
 
 class WujiException(Exception):
-    pass
-
-
-class NodeOfflineError(WujiException):
     pass
 
 
@@ -105,11 +99,6 @@ class JointCommand:
         self.position, self.velocity, self.effort = float(position), float(velocity), float(effort)
 
 
-class MitParam:
-    def __init__(self, kp: float, kd: float) -> None:
-        self.kp, self.kd = float(kp), float(kd)
-
-
 @dataclass
 class FrameHeader:
     seq: int
@@ -131,10 +120,6 @@ class StatusWord:
     position_limit_active: bool = False
     velocity_limit_active: bool = False
     current_limit_active: bool = False
-
-    @property
-    def ext_state_name(self) -> str:
-        return ("Disabled", "Enabled", "Fault")[self.ext_state]
 
 
 @dataclass
@@ -183,7 +168,6 @@ class Hand:
     sn: str = ""
     clock: Clock = time.monotonic
     state_rate: float = 500.0
-    command_timeout: float | None = None
     faults: Faults = field(default_factory=lambda: Faults("missing"))
     offline: set[int] = field(default_factory=set)
 
@@ -200,9 +184,7 @@ class Hand:
         self.connected = False
         self.enabled = [False] * 20
         self.effort_limits = [1.5] * 20
-        self.mit_params = [(3.0, 0.1)] * 20
         self.codes = [0] * 20
-        self._commanded_at: float | None = None
         self.motors.place(self.motors.positions)
         self._apply()
 
@@ -239,19 +221,7 @@ class Hand:
         if self.faults.silent:
             return  # a datagram that no one hears
         self.commands.append([(j.position, j.velocity, j.effort) for j in joints])
-        self._commanded_at = self.clock()
-        for joint, code in enumerate(self.codes):
-            if code == COMM_TIMEOUT:
-                self.set_fault(joint, 0)
         self.motors.move([joint.position for joint in joints])
-
-    def _watch(self) -> None:
-        late = self.command_timeout is not None and self._commanded_at is not None
-        if late and self.clock() - self._commanded_at > self.command_timeout:
-            for joint in range(20):
-                if not self.codes[joint]:
-                    self.codes[joint] = COMM_TIMEOUT
-            self._apply()
 
     def _online(self) -> list[int]:
         joints = [joint for joint in range(20) if joint not in self.offline]
@@ -259,7 +229,6 @@ class Hand:
 
     def states(self, sequence: int) -> JointStateFrame:
         """A frame of states of this moment."""
-        self._watch()
         positions, velocities = self.motors.positions, self.motors.velocities
         efforts = self.motors.currents / 1000
         entries = [
@@ -270,7 +239,6 @@ class Hand:
 
     def diagnostics(self, sequence: int) -> JointDiagnosticsFrame:
         """A frame of diagnostics of this moment."""
-        self._watch()
         currents = self.motors.currents / 1000
         entries = []
         for j in self._online():
@@ -307,20 +275,8 @@ class Subscription:
         self._sequence += 1
         return self._make(self._sequence)
 
-    async def recv_async(self) -> object:
-        while (frame := self.recv()) is None:
-            await asyncio.sleep(0.001)
-        return frame
-
     def close(self) -> None:
         self._closed = True
-
-    def set_rate(self, frequency_hz: int) -> int:
-        if not 0 <= frequency_hz <= 65535:
-            raise OverflowError("frequency_hz outside the 0-65535 range")
-        native = self._hand.state_rate
-        self._rate = native / max(1, round(native / frequency_hz)) if frequency_hz else native
-        return int(self._rate)
 
 
 class _States:
@@ -371,25 +327,6 @@ class DeviceEffortLimitResource:
         return [None if j in offline else v for j, v in enumerate(self._hand.effort_limits)]
 
 
-class DeviceMitParamsResource:
-    def __init__(self, hand: Hand) -> None:
-        self._hand = hand
-
-    def set(self, value: object) -> None:
-        self._hand.check()
-        values = value if isinstance(value, list) else [value] * 20
-        if len(values) != 20:
-            raise WujiException(f"SchemaMismatch: expected 20 values, got {len(values)}")
-        self._hand.mit_params = [
-            (v.kp, v.kd) if isinstance(v, MitParam) else (float(v[0]), float(v[1])) for v in values
-        ]
-
-    def get(self) -> list[MitParam | None]:
-        self._hand.check()
-        offline = self._hand.offline
-        return [None if j in offline else MitParam(*v) for j, v in enumerate(self._hand.mit_params)]
-
-
 @dataclass
 class _Value:
     """A resource with a value that can be read."""
@@ -398,24 +335,6 @@ class _Value:
 
     def get(self) -> object:
         return self.read()
-
-
-class JointHandle:
-    def __init__(self, owner: WujiHand2, index: int) -> None:
-        self._owner, self.index = owner, index
-        self.label = f"{FINGERS[index // 4]}_j{index % 4}"
-
-    def enable(self) -> None:
-        self._owner.enable([int(j == self.index) for j in range(20)])
-
-    def disable(self) -> None:
-        self._owner.disable([int(j == self.index) for j in range(20)])
-
-    def clear_fault(self) -> None:
-        self._owner.clear_fault([int(j == self.index) for j in range(20)])
-
-    def error_code(self) -> _Value:
-        return _Value(lambda: self._owner._hand.codes[self.index])
 
 
 class WujiHand2:
@@ -447,11 +366,6 @@ class WujiHand2:
     def clear_fault(self, joints: list[int] | None = None) -> None:
         self._hand.clear(self._masked(joints))
 
-    def emergency_stop(self) -> None:
-        self._hand.check()
-        self._hand.enabled = [False] * 20
-        self._hand._apply()
-
     def joint_command(self) -> JointCommandResource:
         return JointCommandResource(self._hand)
 
@@ -464,26 +378,8 @@ class WujiHand2:
     def effort_limit(self) -> DeviceEffortLimitResource:
         return DeviceEffortLimitResource(self._hand)
 
-    def mit_params(self) -> DeviceMitParamsResource:
-        return DeviceMitParamsResource(self._hand)
-
     def handedness(self) -> _Value:
         return _Value(lambda: self._hand.side)
-
-    def online_joints_count(self) -> _Value:
-        return _Value(lambda: 20 - len(self._hand.offline))
-
-    def joints(self) -> list[JointHandle]:
-        return [JointHandle(self, index) for index in range(20)]
-
-    def joint(self, joint_index: int) -> JointHandle:
-        if not 0 <= joint_index < 20:
-            raise WujiException(f"joint_index {joint_index} out of range (0..=19)")
-        return JointHandle(self, joint_index)
-
-    def reboot(self) -> None:
-        self._hand.check()
-        self._hand.reboot()
 
     def disconnect(self) -> None:
         self._hand.connected = False
@@ -493,12 +389,6 @@ class WujiHand2:
         if not 0 < nid < 25 or nid % 5 == 0:
             raise WujiException(f"nid {nid} is not a joint nid (1-4, 6-9, 11-14, 16-19, 21-24)")
         return nid // 5 * 4 + nid % 5 - 1
-
-    @staticmethod
-    def joint_index_to_nid(joint_index: int) -> int:
-        if not 0 <= joint_index < 20:
-            raise WujiException(f"joint_index {joint_index} out of range (0..=19)")
-        return _nid(joint_index)
 
     @staticmethod
     def describe_error(code: int) -> dict[str, object] | None:
@@ -559,31 +449,17 @@ def wuji_modules(*hands: Hand) -> dict[str, types.ModuleType]:
                 raise WujiException("Device not found" if not found else "Multiple devices found")
             return self.connect(sn=found[0].sn, device_name=device_name)
 
-        def get_device(self, device_name: str) -> WujiHand2 | None:
-            return self._devices.get(device_name)
-
-        def disconnect(self, device_name: str) -> None:
-            self._devices.pop(device_name).disconnect()
-
-        def disconnect_all(self) -> None:
-            for name in list(self._devices):
-                self.disconnect(name)
-
     manager = SdkManager()
     public = (
         WujiException,
-        NodeOfflineError,
         Handedness,
         DeviceType,
         TransportType,
         ConnectOptions,
     )
-    public += (DiscoveredDevice, JointCommand, MitParam, FrameHeader, JointStateEntry, StatusWord)
+    public += (DiscoveredDevice, JointCommand, FrameHeader, JointStateEntry, StatusWord)
     public += (JointStateFrame, JointDiagnosticsEntry, JointDiagnosticsFrame, Subscription)
-    public += (JointCommandPublisher, JointHandle, WujiHand2, SdkManager)
-
-    def describe_error(full_code: str) -> dict[str, object] | None:
-        return WujiHand2.describe_error(int(full_code.rsplit("-", 1)[-1], 16))
+    public += (JointCommandPublisher, WujiHand2, SdkManager)
 
     members = {one.__name__: one for one in public}
-    return {"wuji_sdk": module("wuji_sdk", describe_error=describe_error, **members)}
+    return {"wuji_sdk": module("wuji_sdk", **members)}

@@ -112,19 +112,9 @@ class HandState_t:
         self.sensor_data = [SenserData_t() for _ in range(5)]
 
 
-class DeviceInfo_t:
-    def __init__(self) -> None:
-        self.ev_hand, self.hand_id = "N", 0
-        self.serial_number, self.name = [""] * 32, [""] * 32
-        self.iap_flag, self.is_calibrated = 0, 1
-
-
 class ErrorStruct:
     def __init__(self, error_code: int = 0, error_message: str = "") -> None:
         self.error_code, self.error_message = error_code, error_message
-
-    def reset(self) -> None:
-        self.error_code, self.error_message = 0, ""
 
 
 class XHand:
@@ -213,9 +203,6 @@ def xhand_modules(*hands: XHand) -> dict[str, types.ModuleType]:
             self._open = found
             return ErrorStruct()
 
-        def open_ethercat(self, ifname: str) -> ErrorStruct:
-            return ErrorStruct(OPEN_DEVICE_FAILED, f"open {ifname} failed")
-
         def close_device(self) -> None:
             self._open = None
 
@@ -246,45 +233,9 @@ def xhand_modules(*hands: XHand) -> dict[str, types.ModuleType]:
             error, hand = self._hand(device_id)
             return error, HandState_t() if hand is None else hand.state()
 
-        def read_device_info(self, device_id: int) -> tuple[ErrorStruct, DeviceInfo_t]:
-            error, hand = self._hand(device_id)
-            info = DeviceInfo_t()
-            if hand is not None:
-                info.ev_hand, info.hand_id = hand.side[0].upper(), hand.identifier
-                info.serial_number = list(hand.serial_number.ljust(32, "\0"))
-                info.name = list(hand.name.ljust(32, "\0"))
-            return error, info
-
         def get_hand_type(self, device_id: int) -> tuple[ErrorStruct, str]:
             error, hand = self._hand(device_id)
             return error, "" if hand is None else hand.side.capitalize()
-
-        def get_serial_number(self, device_id: int) -> tuple[ErrorStruct, str]:
-            error, hand = self._hand(device_id)
-            return error, "" if hand is None else hand.serial_number
-
-        def get_hand_name(self, device_id: int) -> tuple[ErrorStruct, str]:
-            error, hand = self._hand(device_id)
-            return error, "" if hand is None else hand.name
-
-        def set_hand_id(self, old_id: int, new_id: int) -> ErrorStruct:
-            error, hand = self._hand(old_id)
-            if hand is not None:
-                hand.identifier = new_id
-            return error
-
-        def read_version(self, device_id: int, component_id: int) -> tuple[ErrorStruct, str]:
-            error, hand = self._hand(device_id)
-            return error, "" if hand is None else "1.0.0"
-
-        def reset_sensor(self, device_id: int, sensor_id: int) -> ErrorStruct:
-            error, hand = self._hand(device_id)
-            if hand is not None and 17 <= sensor_id < 22:
-                hand.touch[sensor_id - 17] = 0
-            return error
-
-        def get_sdk_version(self) -> str:
-            return "1.1.7"
 
     control = module(
         "xhand_controller.xhand_control",
@@ -295,7 +246,6 @@ def xhand_modules(*hands: XHand) -> dict[str, types.ModuleType]:
         FingerState_t=FingerState_t,
         SenserData_t=SenserData_t,
         PXSR_ForceData=PXSR_ForceData,
-        DeviceInfo_t=DeviceInfo_t,
         ErrorStruct=ErrorStruct,
     )
     return {
