@@ -52,7 +52,7 @@ class _Device:
     """What LeRobot's base classes of devices do themselves."""
 
     def __init__(self, config: Any) -> None:
-        self.id = config.id
+        self.id, self.calibration_dir = config.id, config.calibration_dir
 
 
 def _abstract(*names: str) -> type:

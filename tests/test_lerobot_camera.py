@@ -209,13 +209,9 @@ def test_a_machine_that_draws_too_slowly_is_told_what_to_set(drawing):
 
 
 def test_calibrating_says_where_it_is_done(plugin, caplog):
-    from lerobot_teleoperator_smooth_operator import SmoothOperator, SmoothOperatorConfig
-
     caplog.set_level("INFO")
     plugin.package.SmoothHand(plugin.package.SmoothHandConfig()).calibrate()
     assert "smooth-operator hardware check" in caplog.text
-    SmoothOperator(SmoothOperatorConfig()).calibrate()
-    assert "smooth-operator calibrate" in caplog.text
 
 
 def names(physics: HandPhysics) -> list[str]:

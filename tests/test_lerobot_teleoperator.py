@@ -19,6 +19,12 @@ from live_time import PATIENCE_S
 from ticks import make_tick
 
 from smooth_operator import Retargeter, load_hand
+from smooth_operator.calibration.operator_file import (
+    OperatorProfile,
+    read_operator,
+    write_operator,
+)
+from smooth_operator.calibration.segments import PROMPTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.sinks.sink import key_help, sink_keys
 from smooth_operator.teleop.sinks.tick import ArmCommand
@@ -374,6 +380,47 @@ def test_the_loop_may_run_in_the_same_process(plugin):
     config = plugin.package.SmoothOperatorConfig(source="no_such_source")
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="no_such_source"):
         plugin.package.SmoothOperator(config).connect()
+
+
+def test_a_calibration_is_guided_and_stored_and_used(plugin, monkeypatch, tmp_path, capsys):
+    """With the steps of lerobot-calibrate; the built-in operator pinches as the prompt says."""
+    module = importlib.import_module(f"{TELEOPERATOR}.operator_calibration")
+    monkeypatch.setattr(module, "PROMPTS", (replace(PROMPTS[0], settle=0.2, hold=1.0),))
+
+    def operator(**settings: Any) -> Any:
+        config = plugin.package.SmoothOperatorConfig(
+            source="synthetic:gestures=pinch_index,seed=1",
+            method="joint_angle",
+            calibration_dir=tmp_path,
+            **settings,
+        )
+        return plugin.package.SmoothOperator(config)
+
+    device, file = operator(operator="anna"), tmp_path / "anna.operator.json"
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="not connected"):
+        device.calibrate()
+    mount = (0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    assert not device.is_calibrated
+    device.connect(calibrate=False)
+    write_operator(file, OperatorProfile("right", mounts={"right": mount}))
+    device.calibrate()
+    device.disconnect()
+    assert "thumb pad on index finger pad" in capsys.readouterr().err
+    stored = read_operator(file)
+    assert stored.pinch_gaps.keys() == {"index"}
+    assert stored.mounts == {"right": mount}
+    assert device.is_calibrated
+    assert operator(id="anna").is_calibrated
+    assert not operator(operator=str(tmp_path / "none.json")).is_calibrated
+
+    file.write_text("{}")  # the loop reads it
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="not describe an operator"):
+        operator(operator="anna").connect()
+    unnamed = operator()
+    unnamed.connect()
+    with pytest.raises(ValueError, match=r"--teleop.operator=anna"):
+        unnamed.calibrate()
+    unnamed.disconnect()
 
 
 class Publishing:

@@ -37,6 +37,9 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             ``mimic_p050``); otherwise the one that ``teleop`` drives, with which
             ``action_features`` is known before ``connect``, also without ``joints``.
         method: retargeting method, if the loop runs in this process; empty for the default.
+        operator: name of the operator, whose calibration LeRobot's folder of calibrations keeps, or
+            path of an operator file (``*.json``); by default ``id``. ``lerobot-calibrate`` writes
+            it, and the loop in this process reads it and adds the pinch gaps that it estimates.
         landmarks: True to add the landmarks of the human hand to the action, for the processor
             steps of ``landmark_steps``, which replace them.
     """
@@ -55,4 +58,5 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     source: str = ""
     hand: str = ""
     method: str = ""
+    operator: str = ""
     landmarks: bool = False

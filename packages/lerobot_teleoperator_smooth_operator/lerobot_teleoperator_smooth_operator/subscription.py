@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from typing import Any, Protocol
 
 import zmq
@@ -91,6 +92,8 @@ class InProcess:
         side: ``right``, ``left`` or ``both``.
         method: retargeting method; empty for the default.
         wrist_joints: False if an arm follows the wrist, so that the hand's own wrist joints do not.
+        operator: file of the operator's calibration, which the loop updates at its end; None for
+            none.
 
     Raises:
         ImportError: smooth-operator is not installed.
@@ -104,6 +107,7 @@ class InProcess:
         side: Any,
         method: str,
         wrist_joints: bool = True,
+        operator: Path | None = None,
     ) -> None:
         try:
             from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
@@ -125,6 +129,7 @@ class InProcess:
             method=method,
             wrist_joints="auto" if wrist_joints else "off",
             methods=(method,),  # compiled before the first action
+            operator=operator,
         )
 
         def started(loop: Any) -> None:

@@ -7,6 +7,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -217,15 +218,47 @@ class SmoothOperator(Teleoperator):
         return self._feed is not None
 
     @property
+    def operator_file(self) -> Path | None:
+        """File of the operator's calibration; None if the settings name no operator."""
+        name = self.config.operator or self.id
+        if not name:
+            return None
+        return (
+            Path(name) if name.endswith(".json") else self.calibration_dir / f"{name}.operator.json"
+        )
+
+    @property
     def is_calibrated(self) -> bool:
-        """Always True: the operator is calibrated in smooth-operator."""
-        return True
+        """True if the operator's file exists. Most trackers need no calibration."""
+        return self.operator_file is not None and self.operator_file.exists()
 
     def calibrate(self) -> None:
-        """Print how the operator is calibrated; does nothing else."""
+        """Ask the operator for pinches in the terminal, and store the gaps that the tracker leaves.
+
+        Takes half a minute. Afterwards no more commands are received: disconnect, and connect
+        again. The loop in this process then uses the gaps; ``teleop`` gets them by ``--operator``.
+
+        Raises:
+            DeviceNotConnectedError: it is not connected.
+            ValueError: the settings name no operator, or two hands.
+            SmoothOperatorError: no hand was tracked, or the file can't be read or written.
+        """
+        from lerobot_teleoperator_smooth_operator.operator_calibration import calibrate_operator
+
+        feed, file, side = self._feed, self.operator_file, self.config.side
+        if feed is None:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first")
+        if file is None or side == "both":
+            raise ValueError(
+                "a calibration is of one hand of one operator: name both, as in "
+                "--teleop.operator=anna --teleop.side=right"
+            )
+        gaps = calibrate_operator(file, self._newest, feed, side).pinch_gaps
         logger.info(
-            "smooth_operator needs no calibration by LeRobot. The operator's hand is calibrated by "
-            "smooth-operator calibrate; pass its file to teleop with --operator"
+            "wrote %s (pinch gaps: %s). A teleop of your own uses it with --operator %s",
+            file,
+            ", ".join(f"{finger} {gap:.3f} palm lengths" for finger, gap in gaps.items()) or "none",
+            file,
         )
 
     def configure(self) -> None:
@@ -254,6 +287,7 @@ class SmoothOperator(Teleoperator):
                 config.side,
                 config.method,
                 wrist_joints=config.wrist == "none",
+                operator=self.operator_file,
             )
         else:
             feed = Subscription(config.address, self._newest)
