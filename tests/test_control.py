@@ -2,11 +2,14 @@
 
 import json
 import os
+import struct
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,11 +19,18 @@ from live_time import PATIENCE_S, until
 from ticks import make_tick
 
 from smooth_operator import HandFrame, Retargeter, load_hand
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, SourceError, UnknownNameError
+from smooth_operator.landmarks import FINGERS
 from smooth_operator.planning import make_request
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
+from smooth_operator.retargeting.known_gaps import known_gaps
+from smooth_operator.synthetic.operator import SyntheticOperator
+from smooth_operator.synthetic.tracker import tracker_model
+from smooth_operator.teleop.control.bindings import ACTIONS, inputs_of, read_bindings
+from smooth_operator.teleop.control.pedal import pedal
+from smooth_operator.teleop.control.pinches import sides_of, watched
 from smooth_operator.teleop.control.rpc import RpcHandlers, RpcServer, remote
-from smooth_operator.teleop.control.switches import actions, keyboard
+from smooth_operator.teleop.control.switches import actions, help_line, pressing, terminal_keys
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.runtime.limiter import EXTRA
@@ -271,15 +281,23 @@ def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running):
     assert len(at) <= (at[-1] - at[0]) * RATE + EXTRA + 2
 
 
+@contextmanager
+def keyboard(
+    loop: TeleopLoop, said: list[str], more: Mapping[str, Callable[[], None]] = {}
+) -> Iterator[str]:
+    """Listens to the keys of the terminal as a run does; yields its line of help."""
+    bindings = read_bindings()
+    acts = {**more, **actions(loop, bindings, said.append)}
+    with pressing(bindings, acts) as press, terminal_keys(press):
+        yield help_line(bindings, acts)
+
+
 class Terminal:
     """A terminal to press keys on, and what it showed."""
 
     def __init__(self, master: int) -> None:
         self._master = master
         self.said: list[str] = []
-
-    def note(self, text: str, *, matters: bool = False) -> None:
-        self.said.append(text)
 
     def press(self, keys: bytes) -> str:
         """Press keys; returns what is said of it."""
@@ -296,8 +314,8 @@ def terminal(running: Running, monkeypatch: pytest.MonkeyPatch) -> Iterator[Term
     built = Terminal(master)
     with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", stdin)
-        with keyboard(running.loop, built):
-            assert "EMERGENCY STOP" in built.said[0]
+        with keyboard(running.loop, built.said) as line:
+            assert line.startswith("space, escape or x: EMERGENCY STOP   u: release the stop   p:")
             yield built
     os.close(master)
 
@@ -320,7 +338,7 @@ def test_a_stop_key_stops_whoever_released_last(running, terminal, key):
     stays(running, Mode.STOPPED)
     terminal.press(key)  # again: it does not release
     stays(running, Mode.STOPPED)
-    assert terminal.press(b"p") == "STOPPED; p has no effect, press u to release"
+    assert terminal.press(b"p") == "STOPPED; first release the stop: u"
     stays(running, Mode.STOPPED)
     assert terminal.press(b"u") == "released"
     stays(running, Mode.WAITING)
@@ -348,7 +366,7 @@ def test_a_key_that_goes_wrong_is_not_the_last(running, monkeypatch, capfd):
     built = Terminal(master)
     with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", stdin)
-        with keyboard(running.loop, built, {"g": lambda: [][1]}, "   g: go"):
+        with keyboard(running.loop, built.said, {"go": lambda: [][1]}):
             os.write(master, b"g")
             built.press(b" ")
             stays(running, Mode.STOPPED)
@@ -402,13 +420,13 @@ def test_the_page_is_told_both_wrists(loop):
 def test_a_key_and_a_message_release_the_wrist_alone(loop):
     said: list[str] = []
     (pipeline,) = loop.pipelines.values()
-    press = actions(loop, said.append)["c"]
+    press = actions(loop, read_bindings(), said.append)["wrist"]
     for released in (True, False):
         press()
         loop._change()
         assert pipeline.clutch.released is released
         assert not pipeline.supervisor.paused
-    assert said == ["wrist released; press c to engage it; the fingers continue", "wrist: engages"]
+    assert said == ["wrist released; to engage it: c; the fingers continue", "wrist: engages"]
     do = RpcHandlers(loop, SimpleNamespace()).by_command["wrist"]
     assert do({"engage": False}) == {"engage": False}
     loop._change()
@@ -418,3 +436,101 @@ def test_a_key_and_a_message_release_the_wrist_alone(loop):
     assert not pipeline.clutch.released
     with pytest.raises(ConfigError, match="expected true or false"):
         do({})
+
+
+def test_the_table_of_inputs(tmp_path):
+    table = read_bindings()
+    assert all(inputs_of(table, name) == list(own) for name, (_, own) in ACTIONS.items())
+    file = tmp_path / "lab.toml"
+    file.write_text('[bindings]\nrecord = ["pedal:48", "button:b"]\nstop = ["pinch:ring"]\n')
+    table = read_bindings([str(file), "pause=R", "keep=", "home=h"], ["home"])
+    assert inputs_of(table, "record") == ["pedal:48", "button:b"]
+    assert inputs_of(table, "pause") == ["p", "r"]
+    assert inputs_of(table, "keep") == []
+    assert inputs_of(table, "home") == ["h"]
+    assert inputs_of(table, "stop") == ["space", "escape", "x", "pinch:ring"]
+    assert help_line(table, ["home", "keep", "stop"]) == (
+        "space, escape, x or pinch:ring: EMERGENCY STOP   h: home"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["rekord=b"], "Did you mean 'record'"),
+        (["record=space"], "space always stops the robot"),
+        (["record=X"], "x always stops the robot"),
+        (["stop="], "the inputs of stop can't be removed"),
+        (["record=pinch:toe"], r"no input 'pinch:toe'; an input is a key .*pedal:CODE"),
+        (["record"], r"expected ACTION=INPUT, such as record=b"),
+        (["missing.toml"], r"missing.toml: can't be read"),
+        (["bad.toml"], r"expected a table \[bindings\]"),
+    ],
+)
+def test_a_wrong_binding_is_explained(tmp_path, monkeypatch, words, expected):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.toml").write_text('[bindings]\nrecord = "b"\n')
+    with pytest.raises((ConfigError, UnknownNameError), match=expected):
+        read_bindings(words)
+
+
+@pytest.mark.parametrize("tracker", ["glove", "headset", "camera"])
+def test_pinches_of_a_hand_count_once_each(tracker):
+    """Gestures of the built-in operator, seen through a tracker; no fist is taken for a pinch."""
+    gestures = ("open_close", "pinch_index", "pinch_middle", "spread", "pinch_ring", "pinch_pinky")
+    operator = SyntheticOperator(1, "left", gestures=gestures, tracker=tracker_model(tracker))
+    recording = operator.record(20.0)
+    seen: list[str] = []
+    inputs = {finger: f"pinch_{finger}" for finger in FINGERS[1:]}
+    watch = watched({"left": inputs}, seen.append, known_gaps(tracker))
+    for frame in recording:
+        watch(frame, frame.time)
+        watch(replace(frame, side="right"), frame.time)  # of the hand that drives the robot
+    labels = recording.meta["gesture"]
+    done = [name for name, after in pairwise([*labels, ""]) if name != after and "pinch" in name]
+    assert len(done) >= 6
+    if tracker == "camera":  # its tips may seem to touch at other times, too
+        later = iter(seen)
+        assert all(name in later for name in done[:-1])
+    else:
+        assert seen[: len(done) - 1] == done[:-1]  # the last one may have been cut off
+        assert len(seen) <= len(done)
+
+
+def test_with_two_robots_a_pinch_names_its_hand():
+    table = read_bindings(["record=pinch:middle"])
+    assert sides_of(table, ["right"]) == {"left": {"middle": "pinch:middle"}}
+    assert sides_of(table, ["left"]) == {"right": {"middle": "pinch:middle"}}
+    with pytest.raises(ConfigError, match="write pinch:left-middle or pinch:right-middle"):
+        sides_of(table, ["right", "left"])
+    named = read_bindings(["record=pinch:right-middle"])
+    assert sides_of(named, ["right", "left"]) == {"right": {"middle": "pinch:right-middle"}}
+    assert sides_of(read_bindings(), ["right", "left"]) == {}  # none unless the operator asks
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="input devices of Linux")
+def test_a_pedal_acts_without_the_focus_and_comes_back(tmp_path):
+    """Events of the device as Linux describes them in Documentation/input/input.rst."""
+    device, pressed, said = tmp_path / "event5", [], []
+    os.mkfifo(device)
+
+    def event(kind: int, code: int, value: int) -> bytes:
+        return struct.pack("@llHHi", 1, 2, kind, code, value)
+
+    with pedal(device, pressed.append, ["pedal:48"], said.append):
+        for count in (1, 2):
+            with device.open("wb", buffering=0) as plugged:
+                # scan code, press, repetition, release, report
+                for values in ((4, 4, 48), (1, 48, 1), (1, 48, 2), (1, 48, 0), (0, 0, 0)):
+                    plugged.write(event(*values))
+                plugged.write(event(1, 30, 1))
+                until(lambda count=count: len(pressed) == 2 * count, LONG)
+            until(lambda count=count: len([line for line in said if "gone" in line]) == count, LONG)
+    assert pressed == 2 * ["pedal:48", "pedal:30"]
+    assert said[0] == "this pedal has no action; to give it one: --bind ACTION=pedal:30"
+    assert any(line.endswith("the pedal is back") for line in said)
+    with (
+        pytest.raises(SourceError, match="members of the group input"),
+        pedal(tmp_path / "event6", pressed.append, [], said.append),
+    ):
+        pass

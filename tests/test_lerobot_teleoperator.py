@@ -26,7 +26,7 @@ from smooth_operator.calibration.operator_file import (
 )
 from smooth_operator.calibration.segments import PROMPTS
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.sinks.sink import key_help, sink_keys
+from smooth_operator.teleop.sinks.sink import sink_actions
 from smooth_operator.teleop.sinks.tick import ArmCommand
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink, command_message
 
@@ -550,13 +550,12 @@ def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
     from lerobot.teleoperators.utils import TeleopEvents
 
     sink, said = ZmqSink(), []
-    reporter = SimpleNamespace(note=lambda text, matters: said.append(text))
-    press = sink_keys([sink], reporter)
+    press = sink_actions([sink], said.append)
     now = session(joints=JOINTS)
     send = now.send
-    now.send = lambda **more: send(episode=dict(sink.pressed_keys), **more)
+    now.send = lambda **more: send(episode=dict(sink.episode), **more)
     assert not any(now.device.get_teleop_events().values())
-    press["s"]()
+    press["success"]()
     now.device.connect()
     names = ("IS_INTERVENTION", "SUCCESS", "TERMINATE_EPISODE", "RERECORD_EPISODE")
 
@@ -568,13 +567,12 @@ def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
         found = now.device.get_teleop_events()
         return "".join(str(int(found[TeleopEvents[name]])) for name in names)
 
-    assert [events(), events("s"), events()] == ["1000", "1100", "1000"]
-    assert [events("e", "paused"), events("", "paused")] == ["0010", "0000"]
-    assert events("a", "blending") == "1011"
+    assert [events(), events("success"), events()] == ["1000", "1100", "1000"]
+    assert [events("end", "paused"), events("", "paused")] == ["0010", "0000"]
+    assert events("again", "blending") == "1011"
     now.clock.now += 5.0  # nothing comes any more
     assert not any(now.device.get_teleop_events().values())
     assert said == [f"episode: {what}" for what in ("success", "success", "end", "again")]
-    assert key_help([sink, sink]) == "   s: episode: success   e: episode: end   a: episode: again"
 
 
 @pytest.mark.lerobot

@@ -407,7 +407,7 @@ def test_the_quality_of_a_take(stage):
         stage.loop.controls.change(lambda hand: hand.hold())
         passes(stage)
         stage.loop.controls.change(lambda hand: hand.go_on())
-        for begin, end in (("pause", "resume"), ("stop", "release")):
+        for begin, end in (("pause", "pause"), ("stop", "release")):
             stage.session.do(begin)
             passes(stage)
             stage.session.do(end)

@@ -19,7 +19,7 @@ from live_time import PATIENCE_S, until
 from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.control.switches import keys
+from smooth_operator.teleop.control.switches import terminal_keys
 from smooth_operator.teleop.recording import read_log
 
 LONG_S = PATIENCE_S
@@ -251,7 +251,7 @@ def test_keys_end_with_their_terminal(monkeypatch):
     ours, theirs = os.openpty()
     with open(theirs, encoding="utf-8") as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
-        with keys({}) as listening:
+        with terminal_keys(print) as listening:
             assert listening
             thread = next(t for t in threading.enumerate() if t.name == "keys")
             os.close(ours)

@@ -710,8 +710,8 @@ def test_a_trial_with_the_keys_of_teleop(tmp_path, capsys):
     )
     sinks[0].open({"right": load_hand("mimic_p050")}, {})
     trials.begin()  # nobody is there to start it: it starts by itself
-    for key in ("r", "r", "d"):
-        trials.keys[key]()
+    for action in ("reset", "reset", "done"):
+        trials.actions[action]()
     sinks[0].close()
     trials.end()
     said = capsys.readouterr().err
@@ -723,7 +723,7 @@ def test_a_trial_with_the_keys_of_teleop(tmp_path, capsys):
     until((tmp_path / "trials" / "screwdriver-001.npz").exists)
     nothing = TaskTrials(sinks, ("right",), Progressing(False))
     nothing.begin()
-    assert (nothing.keys, nothing.summary(), nothing.key_help) == ({}, {}, "")
+    assert (nothing.actions, nothing.summary()) == ({}, {})
 
 
 def test_without_a_task_there_is_no_scene():

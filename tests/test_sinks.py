@@ -230,7 +230,7 @@ def test_zmq_says_all_of_a_command(hands, listen):
     sink.open(hands, {})
     socket = listen(sink.address, b'{"side":"left"')
     tick = make_tick(hands["left"], 3, mode=Mode.BLENDING)
-    sink.keys["s"][1]()
+    sink.actions["success"]()
     _until_heard(sink, socket, make_tick(hands["left"], 2))
     sink.send(make_tick(hands["right"], 9))  # not subscribed to
     sink.send(tick)

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 from smooth_operator.cli.common_options import Common, Meshes, Page
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.components import SINKS, SOURCES
+from smooth_operator.teleop.control.bindings import action_table
 from smooth_operator.teleop.request import TeleopRequest
 
 
@@ -28,8 +29,10 @@ Sources:
 Sinks, one or several:
 {SINKS.describe()}
 
-Keys, also on the page: Space, Esc and x stop the robot; u releases the stop; p pauses and resumes;
-c toggles the wrist clutch; q or Ctrl-C ends the run."""
+Actions and their keys, in the terminal and on the page (--bind changes them):
+{action_table()}
+
+Ctrl-C also ends the run."""
     more: ClassVar[str] = """Settings of a source or sink follow its name: replay:glove.npz,speed=2.
 To use your own class, write package.module:Class instead of a name: mylab.driver:MySink,port=7
 (docs/how-to/plugins.md).

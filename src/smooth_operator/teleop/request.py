@@ -92,6 +92,16 @@ class TeleopRequest(MethodRequest):
     (needs the zmq extra), for example from a pedal, a red button or a study console. The messages
     are stop, release, pause, resume, quit, status, method, calibration, task, trial and reset."""
 
+    bind: Annotated[tuple[str, ...], arg(metavar="ACTION=INPUT")] = ()
+    """Further inputs of the operator's actions: a key (record=b), a pinch of the other hand
+    (pause=pinch:index), a pedal (keep=pedal:48) or a button of a headset's controller
+    (stop=button:b). ACTION= removes the inputs of an action, except of stop. FILE.toml has a table
+    [bindings] (docs/how-to/teleoperate.md)."""
+
+    pedal: Annotated[Path | None, arg(metavar="DEVICE")] = None
+    """Input device of a foot pedal on Linux, such as /dev/input/by-id/usb-...-event-kbd. Its keys
+    work whichever window has the focus, and type nothing."""
+
     estop: Annotated[str | None, arg(metavar="INPUT")] = None
     """External emergency stop: file:PATH (released while the file begins with 1), serial:PORT (a
     normally closed button) or udp:PORT (a heartbeat). A broken wire also stops the robot

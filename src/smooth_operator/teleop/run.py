@@ -38,18 +38,35 @@ from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.components import build_feedback, build_sink, build_source
+from smooth_operator.teleop.control.bindings import (
+    ACTIONS,
+    EPISODE_ACTIONS,
+    TRIAL_ACTIONS,
+    keys_of,
+    read_bindings,
+)
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
+from smooth_operator.teleop.control.pedal import pedal
+from smooth_operator.teleop.control.pinches import sides_of, watched
 from smooth_operator.teleop.control.reporter import LoggingReporter, summarise
 from smooth_operator.teleop.control.rpc import RpcHandlers
-from smooth_operator.teleop.control.switches import StopInput, keyboard, stopped_by
+from smooth_operator.teleop.control.switches import (
+    StopInput,
+    actions,
+    help_line,
+    pressing,
+    stopped_by,
+    terminal_keys,
+)
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
+from smooth_operator.teleop.recording.takes import Takes
 from smooth_operator.teleop.request import TeleopRequest
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import going_first, low_jitter
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, key_help, sink_keys
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, sink_actions
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.combined import CombinedSource
 from smooth_operator.teleop.sources.live import LiveSource, source_gaps
@@ -143,13 +160,20 @@ def teleoperate(
     retarget = make_request(**settings, wrist_joints=wrist_joints)
     names = [name for text in request.methods for name in text.split(",")]
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
-    source = build_source(request.source, side) if source is None else source
+    commanded = [build_sink(sink) if isinstance(sink, str) else sink for sink in texts]
+    bindings = read_bindings(request.bind, {name for each in commanded for name in each.actions})
+    if request.pedal is None and (codes := [one for one in bindings if "pedal:" in one]):
+        raise ConfigError(
+            f"{codes[0]} needs the pedal's device: --pedal /dev/input/by-id/usb-...-event-kbd"
+        )
+    pinches = sides_of(bindings, sides)
+    if source is None:
+        source = build_source(request.source, "both" if pinches else side)
     if request.wrist_source is not None:
         source = _with_wrist(source, request.wrist_source, sides, operator, reporter)
     feedback = [build_feedback(text) for text in request.feedback]
     for output in feedback:
         output.use_source(source)
-    commanded = [build_sink(sink) if isinstance(sink, str) else sink for sink in texts]
     if feedback and not any(sink.measures for sink in commanded):
         raise ConfigError(
             "--feedback needs a sink that measures contact, such as --sink mujoco or a real hand"
@@ -165,6 +189,8 @@ def teleoperate(
         sinks=[*commanded, *feedback],
         arm=None if request.arm is None else read_arm(request.arm),
         stop=StopInput(request.estop) if stop is None and request.estop is not None else stop,
+        bindings=bindings,
+        pinches=pinches,
         attended=keys and bool(sys.stdin) and sys.stdin.isatty(),
         reporter=reporter,
         started=started,
@@ -192,6 +218,8 @@ class _Run:
     sinks: Sequence[Sink]
     arm: ArmSettings | None
     stop: Callable[[], bool] | None
+    bindings: Mapping[str, str]
+    pinches: Mapping[Side, Mapping[str, str]]
     attended: bool
     reporter: Reporter
     started: Callable[[TeleopLoop], None] | None
@@ -246,6 +274,13 @@ class _Run:
         if fixed or not isinstance(self.request.hand, str):
             return []
         return list(hand_names())
+
+    @property
+    def offered(self) -> list[str]:
+        """Names of the operator's actions that this run has."""
+        own = {name for sink in self.sinks for name in sink.actions}
+        without = {*(() if self.teleop.task else TRIAL_ACTIONS), *EPISODE_ACTIONS} - own
+        return [name for name in dict.fromkeys((*ACTIONS, *own)) if name not in without]
 
     def change_hand(self, name: str, loop: TeleopLoop, switcher: MethodSwitcher) -> None:
         """End this loop, and let the next one drive another hand by the same method."""
@@ -332,6 +367,17 @@ class _Run:
             about=about,
             record=record,
         )
+
+        def say(text: str) -> None:
+            reporter.note(text, matters=True)
+
+        takes = Takes(runner, Path("takes"), switcher.configuration, say)
+        acts = {
+            **sink_actions(sinks, say),
+            **trials.actions,
+            **takes.actions,
+            **actions(loop, self.bindings, say),
+        }
         if page is not None:
             from smooth_operator.teleop.pages.live.live_session import LiveSession
 
@@ -344,6 +390,8 @@ class _Run:
                 trial=trials.shown,
                 other_hands=self.other_hands,
                 change_hand=lambda name: self.change_hand(name, loop, switcher),
+                takes=takes,
+                actions=acts,
             )
             loop.watch = session.watch
             page.serve(session)
@@ -366,19 +414,21 @@ class _Run:
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            keyboard(
-                loop,
-                reporter,
-                {**sink_keys(sinks, reporter), **trials.keys},
-                trials.key_help + key_help(sinks),
-            )
-            if self.attended
-            else contextlib.nullcontext(),
+            pressing(self.bindings, acts) as press,
+            contextlib.nullcontext()
+            if teleop.pedal is None
+            else pedal(teleop.pedal, press, self.bindings, say),
+            terminal_keys(press) if self.attended else contextlib.nullcontext() as attended,
             _remote(loop, teleop.control, handlers, reporter),
             stopped_by(loop, self.stop),
             _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as stack,
         ):
+            loop.mailbox.press = press
+            if self.pinches:
+                loop.mailbox.see = watched(self.pinches, press, source_gaps(source))
+            if attended:
+                reporter.note(help_line(self.bindings, acts))
 
             def opened() -> None:
                 nonlocal granted
@@ -568,6 +618,7 @@ def _open_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | None
             page.meshes,
             arm=run.arm,
             attended=run.attended,
+            keys=keys_of(run.bindings, run.offered),
         )
         with LivePage(setup) as live_page:
             run.reporter.note(f"page: {live_page.url}", matters=True)

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
+from typing import Any
 
 from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError
@@ -80,6 +81,16 @@ class MethodSwitcher:
         self._ending = False
         self._thread = threading.Thread(target=self._run, name="switcher", daemon=True)
         self._thread.start()
+
+    def configuration(self) -> dict[str, Any]:
+        """The settings that may have changed since the start of the run, for a recording."""
+        used = self.used
+        return {
+            "method": used.method,
+            "preset": used.preset,
+            "config": dict(used.configs),
+            "loop": self._loop.config,
+        }
 
     def choose(self, method: str, preset: str | None = None) -> Future[DriverSpec]:
         """Request a method; without a preset, its default preset.

@@ -1,4 +1,4 @@
-"""Local switches of a running loop: keys of the terminal and an external emergency stop.
+"""Switches of a running loop: actions of the operator, keys of the terminal, an external stop.
 
 All inputs of the external stop fail safe: a broken wire, a missing file, an unplugged adapter or a
 missing heartbeat stops the robot. The input is read 200 times a second, on a thread of its own.
@@ -11,38 +11,48 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
-from smooth_operator.reporter import Reporter
+from smooth_operator.teleop.control.bindings import ACTIONS, spoken
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
-STOP_KEYS: Final = (" ", "\x1b", "x", "X")
-"""Keys that trigger the emergency stop, in every mode of the robot."""
-WORDS: Final = (
-    "space, Esc or x: EMERGENCY STOP   u: release it   p: pause / resume   c: wrist   q: end"
-)
+_NAMES: Final = {
+    " ": "space",
+    "\x1b": "escape",
+    "\r": "enter",
+    "\n": "enter",
+    "\t": "tab",
+    "\x7f": "backspace",
+    "\b": "backspace",
+}
+"""Character from a terminal -> name of its key in a table of inputs."""
 
 
 def actions(
-    loop: TeleopLoop, say: Callable[[str], None], more: Mapping[str, Callable[[], None]] = {}
+    loop: TeleopLoop, bindings: Mapping[str, str], say: Callable[[str], None]
 ) -> dict[str, Callable[[], None]]:
-    """Actions by their keys.
+    """Actions of the loop by their names in ``ACTIONS``.
 
     The page or another program may also change the robot's mode, so no state is kept here: a stop
-    is always requested, and the other keys read the mode from the supervisors.
+    is always requested, and the other actions read the mode from the supervisors.
 
     Args:
-        say: shows a line to the person at the keys.
+        bindings: input -> action.
+        say: shows a line to the operator.
     """
     controls = loop.controls
     supervisors = [pipeline.supervisor for pipeline in loop.pipelines.values()]
 
+    def by(action: str) -> str:
+        return spoken(bindings, action)
+
     def stop() -> None:
         controls.stop()
-        say("STOPPED; press u to release")
+        say(f"STOPPED; to release: {by('release')}")
 
     def release() -> None:
         if any(supervisor.stopped for supervisor in supervisors):
@@ -53,62 +63,88 @@ def actions(
 
     def pause() -> None:
         if any(supervisor.stopped for supervisor in supervisors):
-            say("STOPPED; p has no effect, press u to release")
+            say(f"STOPPED; first release the stop: {by('release')}")
         elif any(supervisor.paused for supervisor in supervisors):
             controls.resume()
             say("resumed")
         else:
             controls.pause()
-            say("paused; press p to resume")
+            say(f"paused; to resume: {by('pause')}")
 
-    def follow() -> None:
+    def wrist() -> None:
         released = any(pipeline.clutch.released for pipeline in loop.pipelines.values())
         controls.follow(released)
         say(
             "wrist: engages"
             if released
-            else "wrist released; press c to engage it; the fingers continue"
+            else f"wrist released; to engage it: {by('wrist')}; the fingers continue"
         )
 
-    own = {
-        "c": follow,
-        **dict.fromkeys(STOP_KEYS, stop),
-        "u": release,
-        "p": pause,
-        "q": controls.quit,
-    }
-    assert not set(own) & set(more)
-    return {**more, **own}
+    return {"stop": stop, "release": release, "pause": pause, "wrist": wrist, "quit": controls.quit}
+
+
+def help_line(bindings: Mapping[str, str], offered: Collection[str]) -> str:
+    """Line for a terminal with the inputs of all actions that are offered and have an input."""
+    order = dict.fromkeys((*ACTIONS, *offered))
+    return "   ".join(
+        f"{spoken(bindings, name)}: {ACTIONS[name][0] if name in ACTIONS else name}"
+        for name in order
+        if name in offered and name in bindings.values()
+    )
 
 
 @contextlib.contextmanager
-def keyboard(
-    loop: TeleopLoop,
-    reporter: Reporter,
-    more: Mapping[str, Callable[[], None]] = {},
-    words: str = "",
-) -> Iterator[None]:
-    """Listens to the keys while the loop runs, if there is a terminal.
+def pressing(
+    bindings: Mapping[str, str], actions: Mapping[str, Callable[[], None]]
+) -> Iterator[Callable[[str], None]]:
+    """Carries out the actions of inputs while the block runs.
 
     Args:
-        reporter: shows lines to the person at the keys.
+        bindings: input -> action.
+        actions: name -> action. ``stop`` runs on the caller's thread, the others in order on one of
+            this function. Their errors are printed on standard error.
+
+    Yields:
+        Function that takes an input, from any thread, and does not wait. An input without an action
+        does nothing.
     """
-    with keys(actions(loop, lambda text: reporter.note(text, matters=True), more)) as there:
-        if there:
-            reporter.note(WORDS + words)
-        yield
+    waiting: SimpleQueue[str | None] = SimpleQueue()
+
+    def act(name: str) -> None:
+        try:
+            actions[name]()
+        except Exception as error:  # the next input may be a stop
+            print(f"error: {name}: {type(error).__name__}: {error}", file=sys.stderr)
+
+    def press(source: str) -> None:
+        name = bindings.get(source)
+        if name == "stop":
+            act(name)
+        elif name in actions:
+            waiting.put(name)
+
+    def work() -> None:
+        while (name := waiting.get()) is not None:
+            act(name)
+
+    thread = threading.Thread(target=work, name="actions", daemon=True)
+    thread.start()
+    try:
+        yield press
+    finally:
+        waiting.put(None)
+        thread.join(1.0)
 
 
 @contextlib.contextmanager
-def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
-    """Runs actions as keys are pressed, without waiting for a line.
+def terminal_keys(press: Callable[[str], None]) -> Iterator[bool]:
+    """Passes on the keys of the terminal as they are pressed, without waiting for a line.
 
     On POSIX systems, arrow keys and others that send several characters count as Esc, because
     their sequence begins with it; the other characters are dropped.
 
     Args:
-        actions: key -> action, run on a thread of this function. An error of an action is printed
-            on standard error, and listening continues.
+        press: called with each key's name in a table of inputs, on a thread of this function.
 
     Yields:
         True if there is a terminal; its mode is restored at the end.
@@ -124,11 +160,7 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
             if pressed is None:
                 return
             for key in pressed:
-                try:
-                    if action := actions.get(key):
-                        action()
-                except Exception as error:  # the next key may be a stop
-                    print(f"error: {type(error).__name__}: {error}", file=sys.stderr)
+                press(_NAMES.get(key, key.lower()))
 
     with _reader() as read:
         thread = threading.Thread(target=listen, args=(read,), name="keys", daemon=True)

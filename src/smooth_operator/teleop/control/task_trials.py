@@ -1,4 +1,4 @@
-"""Runs trials of a study's task while a loop runs, started by keys of the terminal."""
+"""Runs trials of a study's task while a loop runs, started by inputs of the operator."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TaskTrials:
         task: name of the task; None for the hand alone.
         folder: folder for a record of every trial; None for no records.
         controlled: True if another program may begin trials.
-        attended: True if a person may begin trials with the keys. If neither is True, the first
+        attended: True if a person may begin trials. If neither is True, the first
             trial begins with the run.
         about: returns the current method and settings, for the records.
         record: called with the events of trials, for the record of the run.
@@ -56,20 +56,15 @@ class TaskTrials:
         self.runner: TrialRunner | None = None
 
     @property
-    def keys(self) -> dict[str, Callable[[], None]]:
-        """Actions by their keys."""
+    def actions(self) -> dict[str, Callable[[], None]]:
+        """Actions of the operator by their names in ``ACTIONS``."""
         if self._task is None:
             return {}
         return {
-            "g": lambda: self._act("go"),
-            "r": lambda: self._act("reset"),
-            "d": lambda: self._act("finish"),
+            "go": lambda: self._act("go"),
+            "reset": lambda: self._act("reset"),
+            "done": lambda: self._act("finish"),
         }
-
-    @property
-    def key_help(self) -> str:
-        """Description of the keys."""
-        return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
         """Show the task of the open simulation; start a trial if no key or message can."""

@@ -88,10 +88,11 @@ def plain(text: str) -> str:
     return _SIGNS.sub(lambda sign: f"&#{ord(sign[0])};", " ".join(text.split()))
 
 
-def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, Any, Callable[[], None]]) -> None:
-    """Adds hotkeys: (name, key in viser's notation, action)."""
+def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, str, Callable[[], None]]) -> None:
+    """Adds hotkeys: (name, a letter, digit or name such as ``space``, action)."""
     for name, key, action in hotkeys:
-        gui.add_command(name, hotkey=key).on_trigger(from_person(lambda _, do=action: do()))
+        viser_key: Any = key.upper() if len(key) == 1 else key
+        gui.add_command(name, hotkey=viser_key).on_trigger(from_person(lambda _, do=action: do()))
 
 
 def from_person(action: Callable[..., None]) -> Callable[[Any], Coroutine[Any, Any, None]]:

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.reporter import Reporter
+from smooth_operator.teleop.control.bindings import ACTIONS
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sources.live import Clock
 from smooth_operator.types import Side
@@ -56,8 +56,9 @@ class Sink(ABC):
         return ""
 
     @property
-    def keys(self) -> Mapping[str, tuple[str, Callable[[], None]]]:
-        """Key of the terminal -> its meaning, and its action, which runs on another thread."""
+    def actions(self) -> Mapping[str, Callable[[], None]]:
+        """Name of an action of the operator -> what it does, on another thread. ``--bind`` gives
+        inputs to actions that have none by default."""
         return {}
 
     @property
@@ -179,21 +180,17 @@ class Link(Protocol):
         """Close the connection."""
 
 
-def sink_keys(sinks: Sequence[Sink], reporter: Reporter) -> dict[str, Callable[[], None]]:
-    """Actions of the keys of sinks; each runs those of all sinks that have the key."""
+def sink_actions(
+    sinks: Sequence[Sink], say: Callable[[str], None]
+) -> dict[str, Callable[[], None]]:
+    """Actions of sinks by their names; each runs those of all sinks that have it."""
 
-    def press(key: str) -> None:
-        for words, action in [sink.keys[key] for sink in sinks if key in sink.keys]:
+    def act(name: str) -> None:
+        for action in [sink.actions[name] for sink in sinks if name in sink.actions]:
             action()
-            reporter.note(words, matters=True)
+            say(ACTIONS[name][0] if name in ACTIONS else name)
 
-    return {key: functools.partial(press, key) for sink in sinks for key in sink.keys}
-
-
-def key_help(sinks: Sequence[Sink]) -> str:
-    """Description of the keys of sinks."""
-    words = {key: meaning for sink in sinks for key, (meaning, _) in sink.keys.items()}
-    return "".join(f"   {key}: {meaning}" for key, meaning in words.items())
+    return {name: functools.partial(act, name) for sink in sinks for name in sink.actions}
 
 
 class ThreadedSink(Sink):

@@ -14,6 +14,7 @@ from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.jsonable import numbers
 from smooth_operator.poses import is_valid
+from smooth_operator.teleop.control.bindings import EPISODE_ACTIONS
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Tick
 from smooth_operator.types import Side
@@ -21,9 +22,6 @@ from smooth_operator.web.addresses import is_zmq_address
 
 FORMAT: Final = 1
 """Version of the messages."""
-
-EPISODE_KEYS: Final = {"s": "success", "e": "end", "a": "again"}
-"""Keys of the terminal -> what they say about the episode that a receiver records."""
 
 _WAITING_MESSAGES: Final = 4
 """Largest number of messages that wait for a slow subscriber; older ones are outdated."""
@@ -42,7 +40,7 @@ class ZmqSink(ThreadedSink):
     Attributes:
         address: address for subscribers; the default can be reached from this machine only.
         valid_for_s: time for which a command is valid [s].
-        pressed_keys: meaning of each of ``keys`` -> how often it was pressed.
+        episode: action of ``EPISODE_ACTIONS`` -> how often the operator did it.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -50,8 +48,8 @@ class ZmqSink(ThreadedSink):
 
     address: str = "tcp://127.0.0.1:5556"
     valid_for_s: float = 0.2
-    pressed_keys: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(EPISODE_KEYS.values(), 0),
+    episode: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys(EPISODE_ACTIONS, 0),
         init=False,
         repr=False,
         compare=False,
@@ -70,22 +68,24 @@ class ZmqSink(ThreadedSink):
         return f"zmq {self.address}"
 
     @property
-    def keys(self) -> Mapping[str, tuple[str, Callable[[], None]]]:
-        """Keys for the episode that a receiver, such as LeRobot, records."""
-
-        def press(meaning: str) -> None:
-            self.pressed_keys[meaning] += 1
-
-        return {
-            key: (f"episode: {meaning}", functools.partial(press, meaning))
-            for key, meaning in EPISODE_KEYS.items()
-        }
+    def actions(self) -> Mapping[str, Callable[[], None]]:
+        """Actions for the episode that a receiver, such as LeRobot, records."""
+        return episode_actions(self.episode)
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
         """Open the socket."""
         context, socket = open_publisher(self.address, "commands")
         names = {side: hand.name for side, hand in hands.items()}
-        return _Publisher(context, socket, names, self.valid_for_s, self.pressed_keys)
+        return _Publisher(context, socket, names, self.valid_for_s, self.episode)
+
+
+def episode_actions(counts: dict[str, int]) -> dict[str, Callable[[], None]]:
+    """Actions of ``EPISODE_ACTIONS``, which count how often the operator did each."""
+
+    def count(name: str) -> None:
+        counts[name] += 1
+
+    return {name: functools.partial(count, name) for name in counts}
 
 
 def check_address(address: str) -> None:
@@ -223,17 +223,17 @@ class _Publisher:
         socket: Any,
         hands: Mapping[Side, str],
         valid_for_s: float,
-        pressed_keys: Mapping[str, int],
+        episode: Mapping[str, int],
     ) -> None:
         self._context, self._socket = context, socket
         self._hands, self._valid_for_s = hands, valid_for_s
-        self._pressed_keys = pressed_keys
+        self._episode = episode
         self._states: dict[Side, HandState] = {}  # the last that was published
 
     def deliver(self, tick: Tick) -> None:
         """Publish a command, and the hand's measured state if it is new."""
         message = command_message(tick, self._valid_for_s)
-        self._socket.send(encode({**message, "episode": dict(self._pressed_keys)}))
+        self._socket.send(encode({**message, "episode": dict(self._episode)}))
         state = tick.state
         if state is not None and state is not self._states.get(tick.side):
             self._states[tick.side] = state

@@ -72,6 +72,9 @@ class Mailbox:
         stop: emergency stop of the loop, for sources with a stop button; set by the loop.
         mode: function that returns the state of the loop: a ``Mode``, ``compiling``, or an empty
             string without a loop.
+        see: function that takes each posted frame and its time of reception [s], such as for
+            pinches; set by a run.
+        press: function that takes an input of the operator, such as ``button:a``; set by a run.
         complete: function that completes each frame before it is posted, given its time of
             reception [s]; set by ``CombinedSource``.
     """
@@ -80,6 +83,8 @@ class Mailbox:
         self.clock = clock
         self.stop: Callable[[], None] = lambda: None
         self.mode: Callable[[], str] = lambda: ""
+        self.see: Callable[[HandFrame, float], None] = lambda frame, received: None
+        self.press: Callable[[str], None] = lambda source: None
         self.complete: Callable[[HandFrame, float], HandFrame] = lambda frame, received: frame
         self.received = 0
         self.received_of: Counter[Side] = Counter()
@@ -102,6 +107,7 @@ class Mailbox:
         """Posts a frame and returns its arrival; see ``Arrival`` for the arguments."""
         at = self.clock() if received is None else received
         frame = self.complete(frame, at)
+        self.see(frame, at)
         with self._arrived:
             self.received += 1
             self.received_of[frame.side] += 1

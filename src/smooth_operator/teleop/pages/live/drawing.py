@@ -59,7 +59,9 @@ class LiveDrawing:
         # Not in one update: it takes seconds, in which no browser would get the stop.
         hands = self._hands_of(setup)
         self._scene = self._built(setup, hands)
-        self._panel = LivePanel(server, hands, link.do, self._scene, stop, setup["blind"])
+        self._panel = LivePanel(
+            server, hands, link.do, self._scene, stop, setup["blind"], setup["keys"]
+        )
         self._see(setup, hands)
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)

@@ -22,12 +22,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.teleop.control.bindings import DEFAULT_KEYS
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
@@ -135,6 +136,7 @@ class PageSetup:
         port: first port to try; 0 for any free one.
         simulated: also draw a simulated or measured hand.
         attended: True if the terminal of the run accepts keys, including one for the stop.
+        keys: action of the operator -> its keys.
         blind: hide the method from the operator, who then can't change it.
         model: MJCF or URDF to draw, or ``menagerie``; None for the hand's installed meshes.
         meshes: draw meshes if there are any; otherwise simple shapes.
@@ -154,6 +156,7 @@ class PageSetup:
     details: bool = True
     arm: ArmSettings | None = None
     attended: bool = False
+    keys: Mapping[str, Sequence[str]] = field(default_factory=lambda: DEFAULT_KEYS)
 
 
 class LivePage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import viser
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.teleop.control.bindings import ACTIONS, DEFAULT_KEYS, label_of
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.stop_panel import StopPanel
@@ -30,6 +32,7 @@ class LivePanel:
         scene: the scene, which the switches change.
         stop: the emergency stop above the panel.
         blind: hide the method from the operator, who then can't change it.
+        keys: action -> its keys.
     """
 
     def __init__(
@@ -40,15 +43,16 @@ class LivePanel:
         scene: LiveScene,
         stop: StopPanel,
         blind: bool = False,
+        keys: Mapping[str, Sequence[str]] = DEFAULT_KEYS,
     ) -> None:
         self._do, self._scene, self._stop = do, scene, stop
         self._blind = blind
-        self._stopped = self._paused = self._released = False
+        self._keys = {name: label_of(keys, name) for name in ACTIONS}
         self._take: Mapping[str, Any] = {}
         self._quality: Sequence[TakeQuality] | str = ""
         gui = self._gui = server.gui
         self._set_hands(hands)
-        self._build_main(gui)
+        self._build_main(gui, keys)
         panel = gui.add_panel()
         with panel.add_tab("Timing"):
             self._timing = gui.add_html("")
@@ -88,8 +92,6 @@ class LivePanel:
             self._stop.show(state["stopped"])
             for handle in (self._summary, self._timing):
                 handle.content = ""
-        wrists = [hand.get("wrist") for hand in state["hands"].values()]
-        self._released = any(wrist is not None and wrist["released"] for wrist in wrists)
         shown = live_texts.trial(state.get("trial"))
         if shown != self._trial.content:
             self._trial.content = shown
@@ -105,33 +107,38 @@ class LivePanel:
         if "controls" in state:
             self._show_controls(state["controls"])
 
-    def _build_main(self, gui: viser.GuiApi) -> None:
-        do = self._do
+    def _build_main(self, gui: viser.GuiApi, keys: Mapping[str, Sequence[str]]) -> None:
+        do, shown = self._do, self._keys
         self._trial = gui.add_html("", visible=False)
         self._modes = gui.add_html("")
-        self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
-        self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
+        self._pause = gui.add_button(f"Pause{shown['pause']}", icon=viser.Icon.PLAYER_PAUSE)
+        self._record = gui.add_button(
+            f"Record{shown['record']}", color="gray", icon=viser.Icon.PLAYER_RECORD
+        )
         self._name = gui.add_text(
             "Name", "", visible=False, hint="of the take; Space and X also stop the robot here"
         )
-        self._keep = gui.add_button("Keep", icon=viser.Icon.CHECK, visible=False)
+        self._keep = gui.add_button(f"Keep{shown['keep']}", icon=viser.Icon.CHECK, visible=False)
         self._discard = gui.add_button(
-            "Discard", color="gray", icon=viser.Icon.TRASH, visible=False
+            f"Discard{shown['discard']}", color="gray", icon=viser.Icon.TRASH, visible=False
         )
         self._take_text = gui.add_html("", visible=False)
         self._summary = gui.add_html("")
         self._slow = gui.add_html("", visible=False)
         self._notice = gui.add_html("", visible=False)
         self._legend = gui.add_html("")
-        self._pause.on_click(from_person(lambda _: self._toggle_pause()))
+        self._pause.on_click(from_person(lambda _: do("pause")))
         self._record.on_click(from_person(lambda _: do("record")))
-        self._keep.on_click(from_person(lambda _: do("keep", self._name.value)))
+        self._keep.on_click(from_person(lambda _: self._do_action("keep")))
         self._discard.on_click(from_person(lambda _: do("discard")))
         add_hotkeys(
             gui,
-            ("Pause / resume", "P", self._toggle_pause),
-            ("Wrist: release / engage", "C", lambda: do("follow", self._released)),
-            ("Record / end the recording", "R", lambda: do("record")),
+            *(
+                (ACTIONS[name][0] if name in ACTIONS else name, key, partial(self._do_action, name))
+                for name, inputs in keys.items()
+                if name not in ("stop", "release")  # of the stop panel
+                for key in inputs
+            ),
         )
 
     def _build_method(self, gui: viser.GuiApi) -> None:
@@ -169,10 +176,9 @@ class LivePanel:
         view.on_click(from_person(lambda event: self._scene.aiming.aim(event.client)))
         self._meshes_note = gui.add_markdown("", visible=False)
 
-    def _toggle_pause(self) -> None:
-        """Pauses or resumes; does nothing during an emergency stop, which only a release ends."""
-        if not self._stopped:
-            self._do("resume" if self._paused else "pause")
+    def _do_action(self, name: str) -> None:
+        """Carries out an action of the operator."""
+        self._do(name, *([self._name.value] if name == "keep" else []))
 
     def show_meshes(self, there: bool, note: str) -> None:
         """Shows the switch for meshes, and the reason if there are no meshes."""
@@ -182,11 +188,11 @@ class LivePanel:
 
     def _show_controls(self, controls: Mapping[str, Any]) -> None:
         self._show_notice(live_texts.notice(controls["building"], controls["message"]))
-        self._stopped, self._paused = controls["stopped"], controls["paused"]
-        self._stop.show(self._stopped)
-        self._pause.disabled = self._stopped
-        self._pause.label = "Resume (P)" if self._paused else "Pause (P)"
-        self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
+        paused = controls["paused"]
+        self._stop.show(controls["stopped"])
+        self._pause.disabled = controls["stopped"]
+        self._pause.label = f"{'Resume' if paused else 'Pause'}{self._keys['pause']}"
+        self._pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
         self._show_take(controls["take"])
         if "hands" in controls:
             self._hand.visible = True
@@ -201,7 +207,9 @@ class LivePanel:
 
     def _show_take(self, take: Mapping[str, Any]) -> None:
         """Shows the current or the last take with its controls."""
-        self._record.label = "End take (R)" if take["recording"] else "Record (R)"
+        self._record.label = (
+            f"{'End take' if take['recording'] else 'Record'}{self._keys['record']}"
+        )
         self._record.color = "red" if take["recording"] else "gray"
         if take["last"] != self._take.get("last"):
             self._quality = "measuring its quality …" if take["last"] else ""

@@ -1,21 +1,16 @@
-"""State of a running loop as JSON for its page, actions of the page's controls, and takes."""
+"""State of a running loop as JSON for its page, and actions of the page's controls."""
 
 from __future__ import annotations
 
-import re
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
-from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
@@ -25,154 +20,15 @@ from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart
 from smooth_operator.simulation.scenes.scene import Mount
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
+from smooth_operator.teleop.control.switches import actions as loop_actions
+from smooth_operator.teleop.recording.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.sinks.record import SUFFIX, RecordSink
-from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, simulated_hands
+from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
-
-_NAME: Final = re.compile(r"[\w.-]{1,80}")
-
-
-@dataclass(frozen=True)
-class _Take(RecordSink):
-    """Recorder of a take; stores the configuration at the take's start, which may differ from that
-    of the run's start."""
-
-    configuration: Callable[[], Mapping[str, Any]] = dict
-
-    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Creates the files."""
-        super().open(hands, {**config, **self.configuration()})
-
-
-class Takes:
-    """Starts and ends recordings (takes). An ended take is complete in its numbered file and is
-    kept unless the operator discards it.
-
-    Args:
-        sinks: sinks of the running loop.
-        folder: folder of the takes.
-        configuration: returns the settings that have changed since the start of the run, for the
-            log.
-
-    Attributes:
-        error: reason why the last action failed; empty if it succeeded.
-        kept: number of takes of this run that were not discarded.
-    """
-
-    def __init__(
-        self,
-        sinks: SinkRunner,
-        folder: Path,
-        configuration: Callable[[], Mapping[str, Any]] = dict,
-    ) -> None:
-        self.folder = folder
-        self.error = ""
-        self.kept = 0
-        self._sinks, self._configuration = sinks, configuration
-        self._take: _Take | None = None
-        self._begun = 0.0
-        self._last: tuple[Path, ...] = ()
-        self._open = False  # True until the last take is named, kept or discarded
-        self._working = threading.Lock()
-
-    def state(self) -> dict[str, Any]:
-        """State of the takes for the page, as JSON values."""
-        take = self._take
-        return {
-            "recording": "" if take is None else ", ".join(path.name for path in take.paths),
-            "seconds": 0.0 if take is None else time.monotonic() - self._begun,
-            "kept": self.kept - self._open,
-            "last": [str(path) for path in self._last],
-            "open": self._open,
-        }
-
-    def toggle(self) -> None:
-        """Starts or ends a take; does not wait."""
-        threading.Thread(target=self._toggle, name="take", daemon=True).start()
-
-    def keep(self, name: str = "") -> None:
-        """Keeps the last take and renames it if there is a name.
-
-        Raises:
-            ConfigError: there is no take, or the name is not valid for a file.
-            OutputError: the file can't be renamed.
-        """
-        with self._working:
-            name = re.sub(r"\s+", "_", name.strip()).removesuffix(SUFFIX)
-            if name:
-                self._rename(name)
-            self._decided()
-
-    def discard(self) -> None:
-        """Deletes the last take.
-
-        Raises:
-            ConfigError: there is no take to discard.
-            OutputError: its file can't be deleted.
-        """
-        with self._working:
-            files = self._decided()
-            self.kept -= 1
-            self._last = ()
-            for file in files:
-                try:
-                    file.unlink(missing_ok=True)
-                except OSError as error:
-                    raise output_error(file, error) from error
-
-    def _decided(self) -> tuple[Path, ...]:
-        if not self._open:
-            raise ConfigError("there is no take to keep or discard: record one first")
-        self._open = False
-        return self._last
-
-    def _rename(self, name: str) -> None:
-        """Renames all files of the last take; if one fails, renames none."""
-        if not _NAME.fullmatch(name) or name.startswith("."):
-            raise ConfigError(
-                f"a take can't be called {name!r}: use only letters, digits, '-', '_' and '.'"
-            )
-        named = {
-            file: file.with_name("".join([name, *file.suffixes[-len(self._last) :]]))
-            for file in self._last
-        }
-        if len(set(named.values())) < len(named):
-            raise ConfigError(
-                "the take was interrupted and is in several files: keep it without a new name"
-            )
-        taken = [file.name for file in named.values() if file.exists()]
-        if taken:
-            raise ConfigError(f"there is already a take {taken[0]}: choose another name")
-        for file, new in named.items():
-            try:
-                file.rename(new)
-            except OSError as error:
-                raise output_error(new, error) from error
-        self._last = tuple(named.values())
-
-    def _toggle(self) -> None:
-        with self._working:
-            self.error = ""
-            take, self._take = self._take, None
-            if take is not None:
-                self._sinks.remove(take)
-                self._last, self._open = tuple(take.paths), bool(take.paths)
-                self.kept += self._open
-                return
-            try:
-                take = _Take(self.folder, configuration=self._configuration)
-                self._sinks.add(take)
-            except SmoothOperatorError as error:
-                self.error = str(error)
-            else:
-                self._begun, self._open = time.monotonic(), False
-                self._take = take
-
 
 _SEEN_S: Final = 1.0  # time without tracking after which the human hand disappears [s]
 _EVENTS: Final = 6
@@ -196,6 +52,8 @@ class LiveSession:
         change_hand: restarts the run with another hand, given its name; None if that is not
             possible.
         other_hands: names for ``change_hand``.
+        takes: recordings of the operator; None for new ones.
+        actions: actions of the operator's inputs; None for those of the loop alone.
     """
 
     def __init__(
@@ -210,13 +68,17 @@ class LiveSession:
         trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
         change_hand: Callable[[str], None] | None = None,
         other_hands: Sequence[str] = (),
+        takes: Takes | None = None,
+        actions: Mapping[str, Callable[[], None]] | None = None,
     ) -> None:
         self.loop = loop
         self._other_hands = list(other_hands)
         self._trial = trial
         self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
         self.blind = blind
-        self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
+        if takes is None:
+            takes = Takes(loop.sinks, folder / "takes", self.switcher.configuration)
+        self.takes = takes
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
         self._ticks: dict[Side, Tick] = {}
@@ -226,11 +88,9 @@ class LiveSession:
         self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
         self._actions: dict[str, Callable[..., object]] = {
+            **(loop_actions(loop, {}, lambda text: None) if actions is None else actions),
             "stop": self._stop,
             "release": self._release,
-            "pause": loop.controls.pause,
-            "resume": loop.controls.resume,
-            "follow": loop.controls.follow,
             "record": self.takes.toggle,
             "keep": self.takes.keep,
             "discard": self.takes.discard,
@@ -313,15 +173,6 @@ class LiveSession:
     def close(self) -> None:
         """Ends the background work."""
         self.switcher.close()
-
-    def _configuration(self) -> Mapping[str, Any]:
-        used = self.switcher.used
-        return {
-            "method": used.method,
-            "preset": used.preset,
-            "config": dict(used.configs),
-            "loop": self.loop.config,
-        }
 
     def _hand(self, side: Side, tick: Tick, now: float) -> dict[str, Any]:
         arrival = self._arrivals.get(side)

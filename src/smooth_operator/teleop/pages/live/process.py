@@ -40,7 +40,7 @@ def main() -> None:
         with server.atomic():
             name_panel(server.gui, name)
             server.gui.main_panel.dock_right()
-            stop = StopPanel(server, link.do, attended=setup["attended"])
+            stop = StopPanel(server, link.do, attended=setup["attended"], keys=setup["keys"])
         pipe.send({"url": page_url(setup["host"], server)})
         # A person waits for the address, so these slow imports come later.
         from smooth_operator.teleop.pages.live.drawing import LiveDrawing

@@ -5,11 +5,12 @@ It needs nothing but viser, so it is on the page before the hand has been read.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import viser
 
+from smooth_operator.teleop.control.bindings import DEFAULT_KEYS, label_of
 from smooth_operator.teleop.pages.front import ALIVE_PATH, GuardedServer
 from smooth_operator.teleop.pages.live.live_page import LOADING
 from smooth_operator.teleop.pages.viser_server import (
@@ -19,7 +20,6 @@ from smooth_operator.teleop.pages.viser_server import (
 )
 
 _STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
-_STOPPED: Final = "STOPPED\nPress U to release"
 _KEYS: Final = "Stop in the terminal of the run: Space, Esc or X."
 _NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
 
@@ -31,14 +31,26 @@ class StopPanel:
         server: server of the page.
         do: sends ``stop`` or ``release`` to the loop's process.
         attended: True if the terminal of the run accepts keys.
+        keys: action -> its keys.
     """
 
-    def __init__(self, server: GuardedServer, do: Callable[[str], None], *, attended: bool) -> None:
+    def __init__(
+        self,
+        server: GuardedServer,
+        do: Callable[[str], None],
+        *,
+        attended: bool,
+        keys: Mapping[str, Sequence[str]] = DEFAULT_KEYS,
+    ) -> None:
         gui = server.gui
         self._do = do
+        self._stopped = f"STOPPED\nRelease it below{label_of(keys, 'release')}"
         self._stop = gui.add_button(_STOP, color="red", icon=viser.Icon.HAND_STOP)
         self._release = gui.add_button(
-            "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
+            f"Release the stop{label_of(keys, 'release')}",
+            color="orange",
+            icon=viser.Icon.LOCK_OPEN,
+            visible=False,
         )
         style = read_script(__package__, "live_page.css")
         elsewhere = _KEYS if attended else _NO_KEYS
@@ -48,10 +60,11 @@ class StopPanel:
         self._stop.on_click(from_person(lambda _: self._press("stop")))
         self._release.on_click(from_person(lambda _: self._press("release")))
         # ``stop_keys.js`` sends Space and Esc as X.
+        stops = [key for key in keys["stop"] if key not in ("space", "escape")]
         add_hotkeys(
             gui,
-            ("Emergency stop", "X", lambda: self._press("stop")),
-            ("Release the stop", "U", lambda: self._press("release")),
+            *(("Emergency stop", key, lambda: self._press("stop")) for key in stops),
+            *(("Release the stop", key, lambda: self._press("release")) for key in keys["release"]),
         )
         for name in ("stop_keys.js", "connection.js"):
             script = read_script(__package__, name)
@@ -63,7 +76,7 @@ class StopPanel:
         self._show(stopped)
 
     def _show(self, stopped: bool) -> None:
-        self._stop.label = _STOPPED if stopped else _STOP
+        self._stop.label = self._stopped if stopped else _STOP
         self._stop.color = "dark" if stopped else "red"
         self._release.visible = stopped
         self._state.content = "<i data-stopped></i>" if stopped else ""
