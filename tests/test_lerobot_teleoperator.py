@@ -358,9 +358,16 @@ def test_it_reads_what_the_sink_zmq_sends(plugin):
 
 
 def test_the_loop_may_run_in_the_same_process(plugin):
-    """Both hands and their wrists, from the built-in operator."""
+    """Both hands and their wrists, from the built-in operator, who pinches as an input."""
+    from lerobot.teleoperators.utils import TeleopEvents
+
     config = plugin.package.SmoothOperatorConfig(
-        source="synthetic", hand="mimic_p050", method="joint_angle", side="both", wrist="quaternion"
+        source="synthetic:gestures=pinch_index",
+        hand="mimic_p050",
+        method="joint_angle",
+        side="both",
+        wrist="quaternion",
+        bind=["success=pinch:left-index"],
     )
     device = plugin.package.SmoothOperator(config)
     device.connect()
@@ -370,11 +377,14 @@ def test_the_loop_may_run_in_the_same_process(plugin):
     assert list(first) == list(device.action_features) == expected
     still = {"index_mcp2pp.pos", "tcp.x"}
     still = {f"{side}_{key}" for side in ("right", "left") for key in still}
-    while still and time.monotonic() < deadline:
+    success = False
+    while (still or not success) and time.monotonic() < deadline:
         now = device.get_action()
         still = {key for key in still if now[key] == first[key]}
+        success |= device.get_teleop_events()[TeleopEvents.SUCCESS]
         time.sleep(0.01)
     assert not still
+    assert success
     device.disconnect()
 
     config = plugin.package.SmoothOperatorConfig(source="no_such_source")

@@ -40,6 +40,8 @@ class SmoothOperatorConfig(TeleoperatorConfig):
         operator: name of the operator, whose calibration LeRobot's folder of calibrations keeps, or
             path of an operator file (``*.json``); by default ``id``. ``lerobot-calibrate`` writes
             it, and the loop in this process reads it and adds the pinch gaps that it estimates.
+        bind: inputs of the operator's actions if the loop runs in this process, such as
+            ``[success=pinch:index, again=button:b]``; as ``--bind`` of ``teleop``.
         landmarks: True to add the landmarks of the human hand to the action, for the processor
             steps of ``landmark_steps``, which replace them.
     """
@@ -59,4 +61,5 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     hand: str = ""
     method: str = ""
     operator: str = ""
+    bind: list[str] = field(default_factory=list)
     landmarks: bool = False

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from lerobot_teleoperator_smooth_operator.commands import Newest
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.control.bindings import EPISODE_ACTIONS
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
-from smooth_operator.teleop.sinks.zmq_sink import FORMAT, command_message
+from smooth_operator.teleop.sinks.zmq_sink import FORMAT, command_message, episode_actions
 from smooth_operator.types import Side
 
 _VALID_S = 0.2
@@ -22,11 +23,17 @@ class MailboxSink(Sink):
     def __init__(self, newest: Newest) -> None:
         self._newest = newest
         self._sides: tuple[Side, ...] = ()
+        self._episode = dict.fromkeys(EPISODE_ACTIONS, 0)
 
     @property
     def label(self) -> str:
         """``lerobot``."""
         return "lerobot"
+
+    @property
+    def actions(self) -> Mapping[str, Callable[[], None]]:
+        """Actions of the operator for the episode, for the events of the teleoperator."""
+        return episode_actions(self._episode)
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Store the hands."""
@@ -34,7 +41,8 @@ class MailboxSink(Sink):
 
     def send(self, tick: Tick) -> None:
         """Pass on a command."""
-        self._newest.take(command_message(tick, _VALID_S))
+        message = command_message(tick, _VALID_S)
+        self._newest.take({**message, "episode": dict(self._episode)})
 
     def stalled(self, seconds: float) -> None:
         """Report that no commands come."""

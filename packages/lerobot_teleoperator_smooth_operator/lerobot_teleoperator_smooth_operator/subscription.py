@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -94,6 +95,7 @@ class InProcess:
         wrist_joints: False if an arm follows the wrist, so that the hand's own wrist joints do not.
         operator: file of the operator's calibration, which the loop updates at its end; None for
             none.
+        bind: inputs of the operator's actions, as for ``--bind``.
 
     Raises:
         ImportError: smooth-operator is not installed.
@@ -108,6 +110,7 @@ class InProcess:
         method: str,
         wrist_joints: bool = True,
         operator: Path | None = None,
+        bind: Sequence[str] = (),
     ) -> None:
         try:
             from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
@@ -130,6 +133,7 @@ class InProcess:
             wrist_joints="auto" if wrist_joints else "off",
             methods=(method,),  # compiled before the first action
             operator=operator,
+            bind=tuple(bind),
         )
 
         def started(loop: Any) -> None:

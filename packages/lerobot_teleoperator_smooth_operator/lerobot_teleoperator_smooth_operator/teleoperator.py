@@ -288,6 +288,7 @@ class SmoothOperator(Teleoperator):
                 config.method,
                 wrist_joints=config.wrist == "none",
                 operator=self.operator_file,
+                bind=config.bind,
             )
         else:
             feed = Subscription(config.address, self._newest)
@@ -348,7 +349,8 @@ class SmoothOperator(Teleoperator):
         """Events since the last call, for LeRobot's loops with a human in them.
 
         The operator intervenes while a hand follows them (``p`` in ``teleop`` pauses it). The keys
-        ``s``, ``e`` and ``a`` in the terminal of ``teleop`` mean success, end of the episode, and
+        ``s``, ``e`` and ``a`` in the terminal of ``teleop`` (or other inputs of the actions
+        ``success``, ``end`` and ``again``) mean success, end of the episode, and
         end with a new recording.
         """
         found = [self._newest.command(hand.side) for hand in self._hands]

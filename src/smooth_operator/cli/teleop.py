@@ -29,11 +29,12 @@ Sources:
 Sinks, one or several:
 {SINKS.describe()}
 
-Actions and their keys, in the terminal and on the page (--bind changes them):
+Keys, also on the page: Space, Esc and x stop the robot; u releases the stop; p pauses and resumes;
+c toggles the wrist clutch; r records; q or Ctrl-C ends the run. --bind changes and adds inputs."""
+    more: ClassVar[str] = f"""Actions for --bind and their inputs:
 {action_table()}
 
-Ctrl-C also ends the run."""
-    more: ClassVar[str] = """Settings of a source or sink follow its name: replay:glove.npz,speed=2.
+Settings of a source or sink follow its name: replay:glove.npz,speed=2.
 To use your own class, write package.module:Class instead of a name: mylab.driver:MySink,port=7
 (docs/how-to/plugins.md).
 
@@ -47,6 +48,7 @@ be opened, 130 stopped by Ctrl-C or another signal."""
     rare: ClassVar[frozenset[str]] = frozenset(
         {
             "port",
+            "pedal",
             "no_meshes",
             "model",
             "debug",
