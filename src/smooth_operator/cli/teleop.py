@@ -49,6 +49,7 @@ be opened, 130 stopped by Ctrl-C or another signal."""
         {
             "port",
             "pedal",
+            "wrist_source",
             "no_meshes",
             "model",
             "debug",

@@ -93,9 +93,8 @@ class TeleopRequest(MethodRequest):
     are stop, release, pause, resume, quit, status, method, calibration, task, trial and reset."""
 
     bind: Annotated[tuple[str, ...], arg(metavar="ACTION=INPUT")] = ()
-    """Input of an action of the operator: a key (record=b), a pinch of the other hand
-    (pause=pinch:index), a pedal or a button; ACTION= removes its inputs, except of stop. Or a
-    FILE.toml with a table [bindings] (docs/how-to/teleoperate.md)."""
+    """Input of an action: a key (record=b), a pinch of the other hand (pause=pinch:index), a pedal
+    or a button; or a FILE.toml (docs/how-to/teleoperate.md)."""
 
     pedal: Annotated[Path | None, arg(metavar="DEVICE")] = None
     """Input device of a foot pedal on Linux, such as /dev/input/by-id/usb-...-event-kbd. Its keys
