@@ -11,7 +11,7 @@ from smooth_operator import read_recording
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.clip import ReadingOptions
 from smooth_operator.formats.registry import BVH, recognise
-from smooth_operator.poses import wrist_from_landmarks
+from smooth_operator.poses import rotate, wrist_from_landmarks
 from smooth_operator.types import Side
 
 FRAMES = 30
@@ -68,6 +68,21 @@ def saved(folder: Path, content: str, name: str = "take.bvh") -> Path:
     path = folder / name
     path.write_text(content)
     return path
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_forearm_is_the_bone_above_the_wrist(tmp_path, side):
+    recording = read_recording(saved(tmp_path, text()), side=side)
+    where = capture.places(TREE, TURNS, "YXZ", MOVED)
+    bone = (where[f"{side.title()}Hand"] - where[f"{side.title()}ForeArm"]) @ OURS.T
+    seen = rotate(recording.T_world_wrist[:, 3:], recording.forearm)
+    np.testing.assert_allclose(seen, bone / 25.0, atol=1e-4)
+
+
+def test_a_joint_of_another_name_is_no_forearm(tmp_path):
+    path = saved(tmp_path, text(rename=lambda name: name.replace("RightForeArm", "Bone7")))
+    assert read_recording(path, side="right").forearm is None
+    assert read_recording(path, side="left").forearm is not None
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

@@ -149,6 +149,13 @@ def forearm(elbow: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
 _SHORTEST_FOREARM: Final = 0.05
 
 
+def forearm_in_world(
+    wrist: Float[np.ndarray, "*n 7"], elbow: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    """``forearm`` from the pose of the wrist and a point of the forearm in the same world [m]."""
+    return forearm(rotate(conjugate(wrist[..., 3:]), elbow - wrist[..., :3]))
+
+
 def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     unit: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
     return unit

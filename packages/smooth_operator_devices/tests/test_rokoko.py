@@ -12,7 +12,7 @@ from tracker_session import sender, started
 
 from smooth_operator.errors import MissingExtraError, RecordingError, SmoothOperatorError
 from smooth_operator.io.landmark_order import chirality
-from smooth_operator.poses import wrist_from_landmarks
+from smooth_operator.poses import rotate, wrist_from_landmarks
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandFrame, Side
 from smooth_operator_devices.trackers.rokoko import RokokoStream, read_scene
@@ -99,6 +99,19 @@ def test_a_clip_that_loops_is_another_session():
             send(packet(actor(k), stamp=stamp))
             until(lambda k=k: mailbox.received == k + 1)
         assert [arrival.session for arrival in mailbox.all] == [0, 0, 1]
+
+
+@pytest.mark.parametrize("suit", [True, False])
+def test_the_forearm_is_that_of_a_suit(suit):
+    """The elbow is 0.25 m behind the wrist along the palm, and 0.1 m above it."""
+    person = actor(hasBody=suit)
+    for side in ("left", "right"):
+        wrist = wrist_from_landmarks(ours(side), side)
+        elbow = wrist[:3] + rotate(wrist[3:], np.array([-0.25, 0.0, 0.1]))
+        person["body"][f"{side}LowerArm"] = joint(elbow)
+    expected = np.array([0.25, 0.0, -0.1]) / np.hypot(0.25, 0.1) if suit else np.full(3, np.nan)
+    for hand in hands(packet(person)).values():
+        np.testing.assert_allclose(hand.forearm, expected, atol=1e-6)
 
 
 def test_a_glove_that_is_off_is_a_missing_hand():

@@ -25,12 +25,10 @@ from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.poses import (
     WORLD_AXES,
     WRIST_AXES,
-    conjugate,
-    forearm,
+    forearm_in_world,
     from_matrices,
     is_rigid,
     points_to_ours,
-    rotate,
     to_ours,
 )
 from smooth_operator.types import HandRecording, Side
@@ -91,8 +89,7 @@ def egodex_hand(
     elbow = None
     if f"{side}Forearm" in tree["transforms"].arrays:
         place = egodex_transforms(tree, f"{side}Forearm", path)[:, :3, 3]
-        moved = points_to_ours(place, _AXES) - wrist[:, :3]
-        elbow = rotate(conjugate(wrist[:, 3:]), moved)
+        elbow = points_to_ours(place, _AXES)
     return HandRecording(
         points[:, FROM_WEBXR_25],
         stamps_from_rate(len(points), rate, str(path)),
@@ -102,7 +99,7 @@ def egodex_hand(
         meta={"format": "egodex"},
         T_world_wrist=wrist,
         world=WORLD,
-        forearm=None if elbow is None else forearm(elbow),
+        forearm=None if elbow is None else forearm_in_world(wrist, elbow),
     )
 
 

@@ -8,7 +8,8 @@ it, and the files of Noitom's Axis Studio, whose joints may also have positions.
 the offset. The y axis is up.
 
 The hand is found by the names that the makers give to its joints (``_MAKERS``). The landmarks are
-the positions of the joints, computed by forward kinematics, and the ends of the last bones.
+the positions of the joints, computed by forward kinematics, and the ends of the last bones. The
+forearm is the bone from the joint above the wrist, if its name is that of a forearm or an elbow.
 
 BVH files have no unit. It is found by the length of the hand along its middle finger: only one of
 the units m, cm, mm and inch gives a hand of 12 to 25 cm.
@@ -32,7 +33,13 @@ from smooth_operator.formats.both_hands import one_hand
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.poses import axes, multiply, rotation_matrices, wrist_from_landmarks
+from smooth_operator.poses import (
+    axes,
+    forearm_in_world,
+    multiply,
+    rotation_matrices,
+    wrist_from_landmarks,
+)
 from smooth_operator.types import HandRecording, Side
 
 WORLD: Final = "bvh"
@@ -104,12 +111,14 @@ class HandJoints:
 
     Attributes:
         landmarks: (21,) indices of the joints.
+        elbow: index of the joint of the forearm, or None.
         metacarpals: (4,) indices of the metacarpal bases, or None.
         scale: length of the skeleton's unit [m].
         unit: the unit: ``m``, ``cm``, ``mm`` or ``inch``.
     """
 
     landmarks: Int[np.ndarray, "21"]
+    elbow: int | None
     metacarpals: Int[np.ndarray, "4"] | None
     scale: float
     unit: str
@@ -225,8 +234,16 @@ class Skeleton:
                 continue
             landmarks = np.array([wrist, *points], int)
             metacarpals = None if None in bases[1:] else np.array(bases[1:], int)
-            return HandJoints(landmarks, metacarpals, *self._unit(landmarks, side))
+            unit = self._unit(landmarks, side)
+            return HandJoints(landmarks, self._elbow(wrist), metacarpals, *unit)
         return None
+
+    def _elbow(self, wrist: int) -> int | None:
+        """The joint above the wrist, if its name is that of a forearm (ForeArm, LowerArm) or an
+        elbow."""
+        above = self.parents[wrist]
+        name = self.names[above].lower() if above >= 0 else ""
+        return above if "arm" in name or "elbow" in name else None
 
     def _tip(self, last: int | None, name: str) -> int | None:
         """The named tip of a finger, or the end of its last bone."""
@@ -295,13 +312,16 @@ class Skeleton:
         for side, hand in self.hands.items():
             ours = hand.scale * np.concatenate(parts) @ self._axes.T
             landmarks = ours[:, hand.landmarks]
+            wrist = wrist_from_landmarks(landmarks, side)
+            elbow = None if hand.elbow is None else ours[:, hand.elbow]
             made[side] = HandRecording(
                 landmarks,
                 stamps,
                 side,
                 metacarpals=None if hand.metacarpals is None else ours[:, hand.metacarpals],
-                T_world_wrist=wrist_from_landmarks(landmarks, side),
+                T_world_wrist=wrist,
                 world=WORLD,
+                forearm=None if elbow is None else forearm_in_world(wrist, elbow),
                 name=name,
                 meta={"format": "bvh", "unit": hand.unit},
             )

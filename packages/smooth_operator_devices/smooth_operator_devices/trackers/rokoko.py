@@ -12,7 +12,8 @@ A finger has ``Proximal``, ``Medial``, ``Distal`` and ``Tip``; the little one is
 Positions are in metres in the room, left-handed: y up, z forward. ``timestamp`` is in seconds from
 the start of the scene; a clip that loops goes back. Studio sends a still hand while no glove is on.
 A hand therefore counts as lost if ``meta`` says that it has no glove, or if its frame repeats the
-last one exactly.
+last one exactly. The elbow is ``rightLowerArm``; it is measured if ``meta`` says that the actor
+wears a suit (``hasBody``).
 
 Source: "Custom Streaming" with its attachment of JSON v3,
 https://support.rokoko.com/hc/en-us/articles/4410416376977; ``JsonLiveSerializerV3.cs`` and
@@ -32,7 +33,12 @@ import numpy as np
 from smooth_operator.errors import MissingExtraError, RecordingError, brief, listed
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.headsets.repeats import Repeats
-from smooth_operator.poses import WORLD_AXES, points_to_ours, wrist_from_landmarks
+from smooth_operator.poses import (
+    WORLD_AXES,
+    forearm_in_world,
+    points_to_ours,
+    wrist_from_landmarks,
+)
 from smooth_operator.teleop.sources.inboxes import Inbox, Message, UdpInbox
 from smooth_operator.teleop.sources.payload import (
     MAX_BYTES,
@@ -147,17 +153,31 @@ def read_scene(data: bytes, actor: str, received: float) -> tuple[list[HandFrame
     frames = []
     for side, joints in _JOINTS.items():
         if meta.get(_GLOVES[side], True) and any(name in body for name in joints[1:]):
-            frames.append(_hand(body, side, joints, stamp if stamp is not None else received))
+            elbow = _position(body.get(f"{side}LowerArm"), f"{side}LowerArm")
+            if meta.get("hasBody") is not True:
+                elbow[:] = np.nan
+            at = stamp if stamp is not None else received
+            frames.append(_hand(body, side, joints, elbow, at))
     return frames, stamped
 
 
-def _hand(body: Mapping[str, Any], side: Side, joints: Sequence[str], stamp: float) -> HandFrame:
+def _hand(
+    body: Mapping[str, Any], side: Side, joints: Sequence[str], elbow: np.ndarray, stamp: float
+) -> HandFrame:
     points = np.stack([_position(body.get(name), name) for name in joints])
     landmarks = points_to_ours(points, WORLD_AXES["unity"])
     valid = np.isfinite(landmarks).all(axis=1)
     check_palm(landmarks, valid, f"the {side} hand")
     wrist = wrist_from_landmarks(landmarks, side)
-    return HandFrame(landmarks, stamp, side, valid=valid, T_world_wrist=wrist, world=WORLD)
+    return HandFrame(
+        landmarks,
+        stamp,
+        side,
+        valid=valid,
+        T_world_wrist=wrist,
+        world=WORLD,
+        forearm=forearm_in_world(wrist, points_to_ours(elbow, WORLD_AXES["unity"])),
+    )
 
 
 def _position(joint: Any, name: str) -> np.ndarray:
