@@ -35,6 +35,7 @@ CORE = {
     "landmarks": 0,
     "geometry": 0,
     "terminal": 0,
+    "user_folders": 0,
     "settings": 1,
     "own_files": 1,
     "source_digest": 1,
@@ -104,7 +105,7 @@ is gone and still listed."""
 START = "retargeting.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 12_323
+CLOSURE_LINES = 11_951
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 MAX_LINES = 700

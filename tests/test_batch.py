@@ -186,7 +186,7 @@ def test_lanes_without_a_hand_need_no_turns_of_a_loop():
     method = Counting(BatchRetargeter(config=config).hand, turns)
     initial = RetargetState.of(FrameState(method.init(0), method.hand.neutral.astype(np.float32)))
     recording = hand(30, 0)
-    program = LaneProgram(method, config, lanes=4, cached=False)
+    program = LaneProgram(method, config, lanes=4)
     landmarks, ticks = recording.landmarks.astype(np.float32), ticks_of(recording.stamps)
     tracks = Tracks(landmarks, recording.valid, ticks, [len(recording)])
     q, status, _ = program.run(initial, tracks)

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.retargeting import compiled_program
+from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand, method_config
+from smooth_operator.retargeting import MethodConfig, program_store
 from smooth_operator.retargeting import retargeter as programs
 from smooth_operator.retargeting.batching import BatchRetargeter
-from smooth_operator.retargeting.compiled_program import CompiledProgram, program_key
-from smooth_operator.retargeting.program_cache import ProgramCache
+from smooth_operator.retargeting.compiled_program import CompiledProgram
+from smooth_operator.retargeting.program_store import ProgramStore, program_key
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 
@@ -44,7 +44,10 @@ def program(traced: list[int], **settings: Any) -> CompiledProgram:
         return {"sum": state["sum"] + x.sum()}, (2 * x, state["sum"])
 
     config = replace(TINY, **settings)
-    return CompiledProgram(function, "test", hand=load_hand("mimic_p050"), config=config)
+    store = ProgramStore.of_user()
+    return CompiledProgram(
+        function, "test", hand=load_hand("mimic_p050"), config=config, cache=store
+    )
 
 
 def call(run: CompiledProgram, size: int = 3) -> tuple[float, list[float], float]:
@@ -75,7 +78,7 @@ def test_an_error_of_the_program_is_raised_at_once():
         traced.append(1)
         raise ZeroDivisionError("of the user's own")
 
-    run = CompiledProgram(function, "test", hand=load_hand(), config=TINY, cached=False)
+    run = CompiledProgram(function, "test", hand=load_hand(), config=TINY)
     with pytest.raises(ZeroDivisionError, match="own"):
         run(np.zeros(3, np.float32))
     assert len(traced) == 1
@@ -108,7 +111,7 @@ def test_what_can_not_be_kept_costs_time_only(folder, monkeypatch, tmp_path):
     assert len(traced) == 4
     assert not folder.exists()
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiled_program, "_named_tuples", lambda _: 1 / 0)
+    monkeypatch.setattr(program_store, "_named_tuples", lambda _: 1 / 0)
     assert call(program(traced))[0] == 4.5
     assert not list(folder.iterdir())
 
@@ -133,7 +136,7 @@ def test_other_settings_of_jax_are_other_programs(folder, setting, other):
 
 
 def test_only_the_newest_are_kept(tmp_path):
-    programs = ProgramCache(tmp_path, most_bytes=200)
+    programs = ProgramStore(tmp_path, most_bytes=200)
     for number, name in enumerate("abcd"):
         programs.write(name, bytes(50))  # with its digest 82
         os.utime(tmp_path / name, (number, number))
@@ -143,21 +146,26 @@ def test_only_the_newest_are_kept(tmp_path):
 
 def test_what_a_program_depends_on_is_in_its_key():
     hand = load_hand("mimic_p050")
-    key = program_key(hand, TINY, "frame")
-    assert key == program_key(load_hand("mimic_p050"), replace(TINY), "frame")
+
+    def key_of(hand: Hand, config: MethodConfig, *name: object, constants: Any = None) -> Any:
+        program = CompiledProgram(abs, *name, hand=hand, config=config, constants=constants)
+        return program_key(program)
+
+    key = key_of(hand, TINY, "frame")
+    assert key == key_of(load_hand("mimic_p050"), replace(TINY), "frame")
     others = [
-        program_key(load_hand("mimic_p050", "left"), TINY, "frame"),
-        program_key(load_hand("leap_hand"), TINY, "frame"),
-        program_key(hand, replace(TINY, sampling=replace(TINY.sampling, elites=9)), "frame"),
-        program_key(hand, TINY, "lanes", 8),
-        program_key(hand, method_config("smooth"), "frame"),
+        key_of(load_hand("mimic_p050", "left"), TINY, "frame"),
+        key_of(load_hand("leap_hand"), TINY, "frame"),
+        key_of(hand, replace(TINY, sampling=replace(TINY.sampling, elites=9)), "frame"),
+        key_of(hand, TINY, "lanes", 8),
+        key_of(hand, method_config("smooth"), "frame"),
     ]
     assert None not in others
     assert len({key, *others}) == 6
     # a file, and code of the user's: what they hold when they are read again is not known
     geort = method_config("geort")
-    assert program_key(hand, geort) is None
-    weights = [program_key(hand, geort, constants=np.full(3, x, np.float32)) for x in (1, 2)]
+    assert key_of(hand, geort) is None
+    weights = [key_of(hand, geort, constants=np.full(3, x, np.float32)) for x in (1, 2)]
     assert None not in weights
     assert weights[0] != weights[1]
 
@@ -165,7 +173,7 @@ def test_what_a_program_depends_on_is_in_its_key():
     class Mine(SbrConfig):
         pass
 
-    assert program_key(hand, Mine()) is None
+    assert key_of(hand, Mine()) is None
 
 
 @pytest.mark.parametrize(
@@ -180,7 +188,7 @@ def test_results_are_those_of_the_traced_program_to_the_last_bit(config, folder,
 
     def results() -> list[bytes]:
         forget()
-        retargeter = BatchRetargeter(config=config, seed=1)
+        retargeter = BatchRetargeter(config=config, seed=1, cache=ProgramStore.of_user())
         runs = [retargeter.run(recording), *retargeter.batch([recording])]
         return [
             each.tobytes() for commands, loss in runs for each in (commands.joint_positions, loss)
@@ -196,18 +204,18 @@ def test_results_are_those_of_the_traced_program_to_the_last_bit(config, folder,
 def test_other_methods_too(folder, method):
     recording = SyntheticOperator(rate_hz=20).record(0.5)
 
-    def result(cache: bool) -> bytes:
+    def result(cache: ProgramStore | None) -> bytes:
         forget()
         retargeter = Retargeter(method=method, cache=cache)
         assert retargeter.shared.method.on_host == (method == "dexpilot")
         return retargeter.run(recording)[0].joint_positions.tobytes()
 
-    without = result(cache=False)
+    without = result(None)
     assert not folder.exists() or not list(folder.iterdir())
-    made = result(cache=True)
+    made = result(ProgramStore.of_user())
     files = {file: file.stat().st_size for file in folder.iterdir()}
     assert len(files) == (2 if method == "dexpilot" else 1)
-    assert without == made == result(cache=True)
+    assert without == made == result(ProgramStore.of_user())
     assert files == {file: file.stat().st_size for file in folder.iterdir()}
 
 

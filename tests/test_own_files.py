@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from smooth_operator import own_files
 from smooth_operator.cli import doctor
 from smooth_operator.errors import DocumentError
 from smooth_operator.own_files import folder_problem, make_private, read_own_file
-from smooth_operator.retargeting import program_cache as program_cache
-from smooth_operator.retargeting import start as start
-from smooth_operator.retargeting.program_cache import ProgramCache
+from smooth_operator.retargeting import program_store, start
+from smooth_operator.retargeting.program_store import ProgramStore
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes here")
 
@@ -27,17 +27,17 @@ def cache(tmp_path, monkeypatch) -> Iterator[Path]:
     """The user's cache folder, as a new process would look at it."""
     folder = tmp_path / "above" / "cache"
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(folder))
-    program_cache.own_folder.cache_clear()
+    own_files.own_folder.cache_clear()
     yield folder
-    program_cache.own_folder.cache_clear()
+    own_files.own_folder.cache_clear()
 
 
 def with_an_entry(cache: Path) -> Path:
     """A kept program."""
-    kept = program_cache.program_cache()
+    kept = ProgramStore.of_user()
     kept.write("p", b"code")
     assert kept.read("p") == b"code"
-    program_cache.own_folder.cache_clear()
+    own_files.own_folder.cache_clear()
     return cache / "programs" / "p"
 
 
@@ -72,13 +72,13 @@ def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):
     jax_folder.mkdir()
     for folder in (entry.parent, jax_folder):
         damage(folder)
-    assert program_cache.program_cache() is None
+    assert ProgramStore.of_user() is None
     assert start.jax_folder() is None
     assert words in doctor.environment()["programs"]
     messages = [record.message for record in caplog.records]
     assert [words in message for message in messages] == [True, True]
     assert all("set SMOOTH_OPERATOR_CACHE to a folder" in message for message in messages)
-    assert program_cache.program_cache() is None
+    assert ProgramStore.of_user() is None
     assert len(caplog.records) == 2
 
 
@@ -90,20 +90,20 @@ def test_a_folder_above_that_others_can_write_is_not_used(cache, damage, above, 
     with_an_entry(cache)
     folder = (cache / "programs").parents[above - 1]
     damage(folder)
-    assert program_cache.program_cache() is None
+    assert ProgramStore.of_user() is None
     assert start.jax_folder() is None
     assert all(str(folder) in record.message for record in caplog.records)
     assert len(caplog.records) == 2
     folder.chmod(0o700)
     os.chown(folder, os.geteuid(), -1)
-    program_cache.own_folder.cache_clear()
+    own_files.own_folder.cache_clear()
     assert with_an_entry(cache).exists()
 
 
 def test_a_sticky_folder_above_is_as_good_as_tmp(cache):
     with_an_entry(cache)
     cache.parent.chmod(0o1777)
-    assert program_cache.program_cache() is not None
+    assert ProgramStore.of_user() is not None
 
 
 def test_a_link_to_an_open_folder_is_followed_and_refused(cache, tmp_path):
@@ -113,10 +113,10 @@ def test_a_link_to_an_open_folder_is_followed_and_refused(cache, tmp_path):
     target.mkdir()
     target.chmod(0o777)
     entry.parent.symlink_to(target)
-    assert program_cache.program_cache() is None
+    assert ProgramStore.of_user() is None
     target.chmod(0o700)
-    program_cache.own_folder.cache_clear()
-    kept = program_cache.program_cache()
+    own_files.own_folder.cache_clear()
+    kept = ProgramStore.of_user()
     assert kept.folder == target  # and not through the link, which might be another one by then
 
 
@@ -145,7 +145,7 @@ def pipe(entry: Path, elsewhere: Path) -> None:
 
 def huge(entry: Path, elsewhere: Path) -> None:
     with entry.open("r+b") as file:
-        file.truncate(program_cache.MOST_BYTES_OF_ONE + 1)
+        file.truncate(program_store.MOST_BYTES_OF_ONE + 1)
 
 
 ENTRIES = [
@@ -162,7 +162,7 @@ ENTRIES = [
 def test_an_entry_of_others_is_removed_and_compiled_again(cache, tmp_path, damage, words, caplog):
     entry = with_an_entry(cache)
     damage(entry, tmp_path / "elsewhere")
-    kept = ProgramCache(entry.parent)
+    kept = ProgramStore(entry.parent)
     assert kept.read("p") is None
     assert words in caplog.text
     assert not os.path.lexists(entry)

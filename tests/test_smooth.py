@@ -245,7 +245,7 @@ def descents() -> Iterator[tuple[Retargeter, list[int]]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(smooth_module, "damped_newton", counted)
         config = replace(SMOOTH_TELEOP, motion_speed=0.051)  # a program of its own
-        retargeter = Retargeter("leap_hand", config=config, cache=False)
+        retargeter = Retargeter("leap_hand", config=config)
         retargeter.warm_up()
         yield retargeter, steps
 

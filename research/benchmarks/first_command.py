@@ -46,6 +46,7 @@ jax.monitoring.register_event_listener(on_event)
 start = clock()
 import smooth_operator
 from smooth_operator import Retargeter  # names are imported when they are first used
+from smooth_operator.retargeting import ProgramStore
 
 seconds["import_package_s"] = clock() - start
 
@@ -54,7 +55,9 @@ hand = smooth_operator.load_hand(job["hand"])
 seconds["load_hand_s"] = clock() - start
 
 start = clock()
-retargeter = Retargeter(hand, method=job["method"], preset=job["preset"])
+retargeter = Retargeter(
+    hand, method=job["method"], preset=job["preset"], cache=ProgramStore.of_user()
+)
 seconds["build_s"] = clock() - start
 
 before = sum(seconds[name] for name in set(EVENTS.values()))

@@ -25,9 +25,12 @@ Prepare = Callable[[Any, Any], list[Any]]
 
 def smooth_operator(hand: str, method: str, _: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from smooth_operator import HandFrame, Retargeter  # type: ignore[import-not-found,unused-ignore]
+    from smooth_operator.retargeting import (  # type: ignore[import-not-found,unused-ignore]
+        ProgramStore,
+    )
 
     name, _, preset = method.partition(":")
-    retargeter = Retargeter(hand, method=name, preset=preset or None)
+    retargeter = Retargeter(hand, method=name, preset=preset or None, cache=ProgramStore.of_user())
 
     def prepare(landmarks: Any, stamps: Any) -> list[Any]:
         return [HandFrame(p, stamp=s) for p, s in zip(landmarks, stamps, strict=True)]

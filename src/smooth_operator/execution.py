@@ -21,6 +21,7 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.table import Definition
 from smooth_operator.planning import Plan, RetargetRequest
 from smooth_operator.retargeting.batching import BatchRetargeter
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter, check_method
 from smooth_operator.types import CommandTrajectory
@@ -47,10 +48,12 @@ class Outcome:
 
 def runner(todo: Plan) -> Runner:
     """Returns a retargeter for a plan. It compiles nothing yet."""
-    gaps = todo.pinch_gaps
+    gaps, store = todo.pinch_gaps, ProgramStore.of_user()
     if isinstance(todo.config, TrajectoryMethodConfig):
-        return TrajectoryRetargeter(todo.hand, todo.config, todo.seed, gaps)
-    return BatchRetargeter(todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps)
+        return TrajectoryRetargeter(todo.hand, todo.config, todo.seed, gaps, store)
+    return BatchRetargeter(
+        todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps, cache=store
+    )
 
 
 def build(todo: Plan) -> tuple[Runner, float]:

@@ -7,13 +7,23 @@ above to this user or root, and others can't write them, except for a sticky fol
 
 from __future__ import annotations
 
+import functools
+import logging
 import os
 import stat
-import sys
+import tempfile
+from collections.abc import Iterator
+from multiprocessing import parent_process
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from smooth_operator.errors import DocumentError
+from smooth_operator.user_folders import SWITCH
+
+LOGGER: Final = logging.getLogger("smooth_operator.programs")
+
+MOST_BYTES: Final = 512 << 20
+"""Largest size of a folder of compiled programs [bytes]. Those that were used last stay."""
 
 _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
@@ -84,43 +94,38 @@ def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
         os.close(handle)
 
 
-SWITCH: Final = "SMOOTH_OPERATOR_CACHE"
-"""Environment variable that names another folder, or ``off`` for no cache."""
-
-OFF: Final = ("off", "0", "no", "false", "none")
-"""Values of ``SWITCH`` for no cache."""
-
-
-def user_cache() -> Path:
-    """Folder of this program in the user's cache, which need not exist: ``SWITCH``, or that of
-    ``program_folder``."""
-    path = os.environ.get(SWITCH, "").strip()
-    if path and path.lower() not in OFF:
-        return Path(path).expanduser()
-    return program_folder("cache")
-
-
-_PLACES: Final = {
-    "cache": ("LOCALAPPDATA", "AppData/Local", "Library/Caches", "XDG_CACHE_HOME", ".cache"),
-    "settings": (
-        "APPDATA",
-        "AppData/Roaming",
-        "Library/Application Support",
-        "XDG_CONFIG_HOME",
-        ".config",
-    ),
-}
-"""Kind -> variable and folder in the home on Windows, folder on macOS, both on Linux."""
+@functools.cache
+def own_folder(folder: Path) -> Path | None:
+    """Returns a folder with its links resolved, and creates it if necessary; None if it is not
+    writable, or, with a warning, if another user can write to it."""
+    try:
+        make_private(folder)
+        problem = folder_problem(folder)
+        if not problem:
+            with tempfile.TemporaryFile(dir=folder):
+                return folder.resolve()
+    except OSError:
+        return None
+    if parent_process() is None:  # workers do not repeat it
+        LOGGER.warning(
+            "compiled programs are not stored, so every start compiles them again: %s; set %s to "
+            "a folder that only you can write to",
+            problem,
+            SWITCH,
+        )
+    return None
 
 
-def program_folder(kind: Literal["cache", "settings"]) -> Path:
-    """Folder of this program among the user's caches or settings; it need not exist."""
-    windows, roaming, mac, xdg, dotted = _PLACES[kind]
-    home = Path.home()
-    if sys.platform == "win32":
-        base = Path(os.environ.get(windows) or home / roaming)
-    elif sys.platform == "darwin":
-        base = home / mac
-    else:
-        base = Path(os.environ.get(xdg) or home / dotted)
-    return base / "smooth-operator"
+def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
+    for each in folder.iterdir():
+        status = each.lstat()
+        if stat.S_ISREG(status.st_mode):
+            yield each, status
+
+
+def make_room(folder: Path, most_bytes: int = MOST_BYTES) -> None:
+    """Removes the files that were not used for longest, until the folder is small enough."""
+    for each, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime):
+        most_bytes -= status.st_size
+        if most_bytes < 0:
+            each.unlink(missing_ok=True)

@@ -27,6 +27,7 @@ from smooth_operator import poses
 from smooth_operator.episode_files.lerobot.human import LANDMARK_NAMES
 from smooth_operator.episode_files.lerobot.schema import pose_keys
 from smooth_operator.landmarks import index
+from smooth_operator.retargeting import ProgramStore
 from smooth_operator.types import as_side
 
 LANDMARK_KEYS = (*(f"landmarks.{name}" for name in LANDMARK_NAMES), "landmarks.valid")
@@ -91,7 +92,9 @@ class LandmarksToJoints(_LandmarkStep):
     method: str = "smooth"
 
     def __post_init__(self) -> None:
-        self._retargeter = smooth_operator.Retargeter(self.hand, side=self.side, method=self.method)
+        self._retargeter = smooth_operator.Retargeter(
+            self.hand, side=self.side, method=self.method, cache=ProgramStore.of_user()
+        )
         model = self._retargeter.hand
         self._keys = [f"{name}.pos" for name in model.joint_names]
         self._neutral = model.full_configuration(model.neutral)

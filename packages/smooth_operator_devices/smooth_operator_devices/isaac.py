@@ -16,6 +16,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.landmarks import FROM_OPENXR_26, METACARPALS_OPENXR_26
 from smooth_operator.poses import WORLD_AXES, is_valid, to_ours
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -95,7 +96,9 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
             raise ConfigError(f"joints must be all or actuated, not {joints!r}")
         if world not in ("openxr", "z_up"):
             raise ConfigError(f"world must be openxr or z_up, not {world!r}")
-        self.retargeter = Retargeter(hand, side=side, method=method, preset=preset)
+        self.retargeter = Retargeter(
+            hand, side=side, method=method, preset=preset, cache=ProgramStore.of_user()
+        )
         robot = self.retargeter.hand
         self._side = as_side(robot.spec.side)
         self._input = f"hand_{self._side}"

@@ -14,7 +14,8 @@ from typing import Any, ClassVar, Final
 
 from smooth_operator.cli.common_options import Common
 from smooth_operator.extras import DISTRIBUTION
-from smooth_operator.own_files import SWITCH, folder_problem, user_cache
+from smooth_operator.own_files import folder_problem
+from smooth_operator.user_folders import SWITCH, is_off, user_cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,11 +107,11 @@ def environment() -> dict[str, Any]:
     """Machine, versions, extras, and where compiled programs are kept."""
     import jax
 
-    from smooth_operator.retargeting.program_cache import is_off, program_cache
+    from smooth_operator.retargeting.program_store import ProgramStore
 
-    cache = program_cache()
+    store = ProgramStore.of_user()
     reason = f"{SWITCH} is off" if is_off() else _why_not_kept()
-    sizes = [] if cache is None else [file.stat().st_size for file in cache.folder.iterdir()]
+    sizes = [] if store is None else [file.stat().st_size for file in store.folder.iterdir()]
     return {
         "system": platform.system(),
         "machine": platform.machine(),
@@ -125,7 +126,7 @@ def environment() -> dict[str, Any]:
         "opencv": ", ".join(f"{n} {_version(n)}" for n in _OPENCV if _version(n)) or None,
         "extras": ", ".join(wing for wing in _WINGS if not _missing(wing)) or None,
         "device": jax.default_backend(),
-        "programs": f"not kept: {reason}" if cache is None else str(cache.folder),
+        "programs": f"not kept: {reason}" if store is None else str(store.folder),
         "programs_kept": len(sizes),
         "programs_mb": round(sum(sizes) / 1e6),
     }

@@ -43,6 +43,7 @@ from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.retargeting.method import MethodConfig, ObjectiveMethodConfig
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import PRESETS, method_names
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
@@ -370,7 +371,8 @@ def check_method(
     try:
         # A published limit of iterations says nothing about the hand.
         preset = "fast" if "fast" in PRESETS[method] else None
-        retargeter = Retargeter(hand, config=without_pull(method_config(method, preset)))
+        config = without_pull(method_config(method, preset))
+        retargeter = Retargeter(hand, config=config, cache=ProgramStore.of_user())
     except SmoothOperatorError as error:
         return Check(name, "skipped", f"not supported: {error}")
     trip = round_trip(retargeter, poses=poses, seed=seed, track=track)

@@ -20,9 +20,9 @@ from smooth_operator.hands.loading import MODELS
 from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.io.plain_files import is_file
-from smooth_operator.own_files import program_folder
 from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
+from smooth_operator.user_folders import program_folder
 
 SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
 """Environment variable that names another folder for the user's hands."""

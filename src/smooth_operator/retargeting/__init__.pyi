@@ -7,6 +7,7 @@ from smooth_operator.retargeting.objective import FrameGoal as FrameGoal
 from smooth_operator.retargeting.objective import Objective as Objective
 from smooth_operator.retargeting.preset_files import method_config as method_config
 from smooth_operator.retargeting.presets import method_names as method_names
+from smooth_operator.retargeting.program_store import ProgramStore as ProgramStore
 from smooth_operator.retargeting.retargeter import Retargeter as Retargeter
 from smooth_operator.retargeting.sbr.newton import NewtonConfig as NewtonConfig
 from smooth_operator.retargeting.sbr.newton import newton_minimise as newton_minimise

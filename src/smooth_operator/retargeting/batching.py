@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.retargeting.compiled_program import CompiledProgram
+from smooth_operator.retargeting.compiled_program import CompiledProgram, ProgramCache
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.program import (
     LONGEST_TICKS,
@@ -147,8 +147,8 @@ class LaneProgram:
         method: a method that is one compiled program.
         config: its configuration.
         lanes: number of lanes.
-        cached: True to read the program from the user's cache and store it there.
         threads: number of calls of the program in parallel.
+        cache: keeps traced programs, as for ``Retargeter``.
     """
 
     def __init__(
@@ -156,8 +156,8 @@ class LaneProgram:
         method: Method,
         config: MethodConfig,
         lanes: int,
-        cached: bool = True,
         threads: int = 1,
+        cache: ProgramCache | None = None,
     ) -> None:
         self.method, self.lanes, self.threads = method, lanes, threads
         alignment = config.alignment
@@ -207,7 +207,7 @@ class LaneProgram:
             hand=method.hand,
             config=config,
             constants=method.constants,
-            cached=cached,
+            cache=cache,
             graphs=True,
         )
 
@@ -450,7 +450,7 @@ class BatchRetargeter(Retargeter):
         count, threads = lane_counts(self.method, lanes)
         if (count, threads) not in self.shared.lanes:
             self.shared.lanes[count, threads] = LaneProgram(
-                self.method, self.config, count, self.cache, threads
+                self.method, self.config, count, threads, self.cache
             )
         program: LaneProgram = self.shared.lanes[count, threads]
         return program

@@ -31,7 +31,7 @@ from smooth_operator.retargeting.alignment import (
     palm_range,
     reference_landmarks,
 )
-from smooth_operator.retargeting.compiled_program import CompiledProgram
+from smooth_operator.retargeting.compiled_program import CompiledProgram, ProgramCache
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.settings import RATE_RANGE_HZ
 from smooth_operator.types import Status
@@ -220,15 +220,17 @@ def packed_result(*parts: Array | np.ndarray | float) -> Array:
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 
-def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
-    """Creates the program of one frame, which is compiled, or read from the user's cache if
-    ``cached``, at its first call. ConfigError if the method's ``step`` takes other arguments."""
+def frame_program(
+    method: Method, config: MethodConfig, cache: ProgramCache | None = None
+) -> Program:
+    """Creates the program of one frame, which is traced, or read from a cache, and compiled at
+    its first call. ConfigError if the method's ``step`` takes other arguments."""
     compiling = functools.partial(
         CompiledProgram,
         hand=method.hand,
         config=config,
         constants=method.constants,
-        cached=cached,
+        cache=cache,
     )
     if method.on_host:
         solved_on_host: Program = cast(Any, method).program(config.alignment, compiling)

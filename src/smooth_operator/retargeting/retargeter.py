@@ -24,6 +24,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.retargeting.compiled_program import ProgramCache
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
@@ -70,7 +71,8 @@ class Retargeter:
         rate: frame rate [Hz] of frames without timestamps, which then count from 0; None uses the
             time of the call.
         clock: monotonic clock [s], for the time of the call.
-        cache: True to read compiled programs from this user's cache folder and store them there.
+        cache: keeps traced programs, so that later processes start faster:
+            ``smooth_operator.retargeting.ProgramStore``. None keeps nothing.
         pinch_gaps: known gaps that the tracker leaves between thumb and finger when they touch, by
             finger [palm lengths], such as ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``; the
             estimate starts with them. None closes no gaps.
@@ -96,7 +98,7 @@ class Retargeter:
         seed: int = 0,
         rate: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
-        cache: bool = True,
+        cache: ProgramCache | None = None,
         pinch_gaps: Mapping[str, float] | None = NO_GAPS,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
@@ -346,7 +348,7 @@ class Retargeter:
 
 
 MOST_PROGRAMS: Final = 16
-_programs: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
+_programs: OrderedDict[tuple[str, MethodConfig, ProgramCache | None], SharedProgram] = OrderedDict()
 _lock = threading.Lock()
 
 
@@ -368,10 +370,11 @@ class SharedProgram(NamedTuple):
     lanes: dict[tuple[int, int], Any]
 
 
-def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
+def shared_program(
+    hand: Hand, config: MethodConfig, cache: ProgramCache | None = None
+) -> SharedProgram:
     """Returns the program of a frame for a hand, or for its mirror image if the hand is described
-    as one. With ``cache``, it is read from the user's cache and stored there. SmoothOperatorError
-    if the method can't be used with the hand."""
+    as one. SmoothOperatorError if the method can't be used with the hand."""
     if not config.shareable:
         return _built(hand, config, False, cache)
     reflects = hand.spec.mirror
@@ -391,7 +394,9 @@ def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> Shar
     return program
 
 
-def _built(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> SharedProgram:
+def _built(
+    hand: Hand, config: MethodConfig, reflects: bool, cache: ProgramCache | None
+) -> SharedProgram:
     method = config.build(hand)
     program = frame_program(method, config, cache)
     return SharedProgram(method, program, reflects, threading.Event(), {})

@@ -11,8 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.own_files import user_cache
-from smooth_operator.retargeting.program_cache import is_off, make_room, own_folder
+from smooth_operator.own_files import make_room, own_folder
+from smooth_operator.user_folders import is_off, user_cache
 
 
 def start_jax(*, one_thread: bool = True) -> None:

@@ -25,7 +25,7 @@ from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.batching import BatchRetargeter, Progress, progressing
-from smooth_operator.retargeting.compiled_program import CompiledProgram
+from smooth_operator.retargeting.compiled_program import CompiledProgram, ProgramCache
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.objective import TRANSITION, FrameGoal, Objective
@@ -57,6 +57,7 @@ class TrajectoryRetargeter:
         config: settings.
         seed: seed of the method's random numbers.
         pinch_gaps: known gaps, as for ``Retargeter``.
+        cache: keeps traced programs, as for ``Retargeter``.
 
     Raises:
         ConfigError: the method can't be solved for a whole recording.
@@ -68,9 +69,12 @@ class TrajectoryRetargeter:
         config: TrajectoryMethodConfig,
         seed: int = 0,
         pinch_gaps: Mapping[str, float] | None = NO_GAPS,
+        cache: ProgramCache | None = None,
     ) -> None:
         self.hand, self.config, self.seed = hand, config, seed
-        self.causal = BatchRetargeter(hand, config=config.causal, seed=seed, pinch_gaps=pinch_gaps)
+        self.causal = BatchRetargeter(
+            hand, config=config.causal, seed=seed, pinch_gaps=pinch_gaps, cache=cache
+        )
         method = self.causal.shared.method  # that of the mirror image for hands described as one
         objective, alignment = _objective(method), config.alignment
         tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
@@ -122,7 +126,9 @@ class TrajectoryRetargeter:
             return at.reshape(len(q), count), jacobian.reshape(len(q), count, -1)
 
         self._aligned, self._closed, self._follow, self._costs, self._points = (
-            CompiledProgram(f, "recording", f.__name__, hand=method.hand, config=config.causal)
+            CompiledProgram(
+                f, "recording", f.__name__, hand=method.hand, config=config.causal, cache=cache
+            )
             for f in (aligned, closed, follow, costs, points)
         )
 

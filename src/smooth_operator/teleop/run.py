@@ -34,6 +34,7 @@ from smooth_operator.reporter import Reporter
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import default_preset, method_names
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
@@ -456,7 +457,13 @@ class _Run:
             for note in () if self.teleop.blind else config.notes(hand):
                 self.reporter.note(note, matters=True)
             gaps = request.of(side).known_gaps(tracker)
-            retargeters[side] = Retargeter(hand, config=config, seed=request.seed, pinch_gaps=gaps)
+            retargeters[side] = Retargeter(
+                hand,
+                config=config,
+                seed=request.seed,
+                cache=ProgramStore.of_user(),
+                pinch_gaps=gaps,
+            )
         return retargeters
 
     def _compile(self) -> None:
@@ -467,7 +474,12 @@ class _Run:
             for name, config in configs:
                 method = "the method" if self.teleop.blind else name
                 with self.reporter.waiting(f"compiling {method} for {hand.name} {side}"):
-                    Retargeter(hand, config=config, seed=self.request.seed).warm_up()
+                    Retargeter(
+                        hand,
+                        config=config,
+                        seed=self.request.seed,
+                        cache=ProgramStore.of_user(),
+                    ).warm_up()
 
 
 def _operator(path: Path | None, side: Side) -> OperatorProfile | None:

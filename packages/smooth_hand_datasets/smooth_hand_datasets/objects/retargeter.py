@@ -38,6 +38,7 @@ from smooth_operator.formats.clip import Clip
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.planning import Plan
 from smooth_operator.retargeting.preset_files import method_config
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.retargeting.trajectory_solver import FrameBlocks
@@ -130,7 +131,7 @@ class ObjectAwareRetargeter:
         chosen = replace(chosen, future=replace(chosen.future, iterations=steps))
         self.hand, self.config = hand, chosen
         self.contact_settings = ContactSettings() if contacts is None else contacts
-        self.blind = TrajectoryRetargeter(hand, chosen, seed)
+        self.blind = TrajectoryRetargeter(hand, chosen, seed, cache=ProgramStore.of_user())
         self.costs = ObjectCosts(hand, ObjectSettings() if settings is None else settings)
 
     def run(self, clip: Clip, side: Side, solids: Mapping[str, Solid] | None = None) -> ObjectAware:

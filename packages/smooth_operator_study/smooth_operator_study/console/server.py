@@ -33,13 +33,8 @@ from urllib.parse import urlsplit
 
 from smooth_operator.errors import DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.io.documents import json_object
-from smooth_operator.own_files import (
-    OFF,
-    SWITCH,
-    make_private,
-    read_own_file,
-    user_cache,
-)
+from smooth_operator.own_files import make_private, read_own_file
+from smooth_operator.user_folders import is_off, user_cache
 from smooth_operator.web.addresses import is_local, page_addresses
 from smooth_operator.web.auth import TokenAuth
 from smooth_operator.web.files import answer_with, page_files, shielded
@@ -125,7 +120,7 @@ def _secret() -> bytes:
     They are not in the folder of the study, which may be given to others.
     """
     drawn = secrets.token_bytes(32)
-    if os.environ.get(SWITCH, "").strip().lower() in OFF:
+    if is_off():
         return drawn
     file = user_cache() / "study" / "console.key"
     try:

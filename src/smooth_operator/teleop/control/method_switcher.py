@@ -15,6 +15,7 @@ from smooth_operator.planning import RetargetRequest, resolve_config
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import default_preset
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -175,6 +176,7 @@ class MethodSwitcher:
                 self._hands[side],
                 config=spec.configs[side],
                 seed=self._begun_with.seed,
+                cache=ProgramStore.of_user(),
                 pinch_gaps=replace(self._begun_with, operator=spec.operators[side]).known_gaps(
                     tracker
                 ),

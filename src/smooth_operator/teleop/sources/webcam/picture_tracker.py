@@ -23,9 +23,10 @@ from jaxtyping import Bool, Float, UInt8
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.own_files import make_private, user_cache
+from smooth_operator.own_files import make_private
 from smooth_operator.teleop.sources.webcam.camera import SYSTEM_LIBRARIES, opencv
 from smooth_operator.types import HandFrame, Side, as_side
+from smooth_operator.user_folders import user_cache
 
 Points: TypeAlias = Literal["world", "picture"]
 

@@ -26,7 +26,7 @@ from urllib.parse import urlsplit
 
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
-from smooth_operator.own_files import OFF, SWITCH, make_private, read_own_file, user_cache
+from smooth_operator.own_files import make_private, read_own_file
 from smooth_operator.settings import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webxr.link import (
@@ -37,6 +37,7 @@ from smooth_operator.teleop.sources.webxr.link import (
     check_code,
 )
 from smooth_operator.types import Side
+from smooth_operator.user_folders import SWITCH, is_off, user_cache
 from smooth_operator.web.addresses import names_of, page_addresses
 from smooth_operator.web.auth import same_origin
 from smooth_operator.web.files import answer_with, page_files, shielded
@@ -129,7 +130,7 @@ class Certificate:
 
 def certificate_folder() -> Path | None:
     """Folder in which certificates are stored; None if ``SWITCH`` turns storing off."""
-    if os.environ.get(SWITCH, "").strip().lower() in OFF:
+    if is_off():
         return None
     return user_cache() / "webxr"
 
