@@ -73,6 +73,7 @@ from smooth_operator.teleop.sources.combined import CombinedSource
 from smooth_operator.teleop.sources.live import LiveSource, source_gaps
 from smooth_operator.teleop.sources.played import Replay
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
+from smooth_operator.teleop.sources.webxr import headset_in
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
@@ -379,7 +380,8 @@ class _Run:
             **takes.actions,
             **actions(loop, self.bindings, say),
         }
-        if page is not None:
+        headset = headset_in(source)
+        if page is not None or headset is not None:
             from smooth_operator.teleop.pages.live.live_session import LiveSession
 
             session = LiveSession(
@@ -395,7 +397,14 @@ class _Run:
                 actions=acts,
             )
             loop.watch = session.watch
-            page.serve(session)
+            if page is not None:
+                page.serve(session)
+            if headset is not None:
+                from smooth_operator.teleop.pages.headset_view import HeadsetView
+
+                driven = {side: hand for side, (hand, _) in self.hands.items()}
+                measured = any(sink.measures for sink in sinks)
+                headset.show(HeadsetView(session, driven, measured, self.arm))
         # A recording, which ends, must not play before the robot can move.
         hands = source.hands if isinstance(source, CombinedSource) else source
         played = isinstance(hands, Replay) or (isinstance(hands, Video) and not hands.loop)
@@ -441,6 +450,8 @@ class _Run:
                     self.started(loop)
 
             loop.run(teleop.duration, recorded, started=opened)
+        if headset is not None:
+            headset.show(None)
         if page is not None and self.next_request is not None:
             page.change(replace(page.setup, hand=str(self.next_request.hand)))
         seconds = time.perf_counter() - begin

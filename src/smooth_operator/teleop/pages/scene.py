@@ -10,15 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
 import trimesh
-import viser
 from jaxtyping import Bool, Float, Int, UInt8
 
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
 from smooth_operator.teleop.pages.hand_view import (
     FOREARM,
@@ -30,6 +29,9 @@ from smooth_operator.teleop.pages.hand_view import (
     finger_colors,
     linear,
 )
+
+if TYPE_CHECKING:
+    import viser
 
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]
@@ -291,6 +293,8 @@ class RobotBodies:
         self._rest = drawn.full_configuration(drawn.neutral)
         self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
         self._pose = _palm_to_model(drawn)
+        places = landmark_points(model, drawn.spec)
+        self._tips = [places[name] for name in drawn.tip_names]
         self.first = BodyNodes(scene, model, meshes, owner, f"{root}/first")
         self.other: BodyNodes | None = None
         if second:
@@ -306,12 +310,21 @@ class RobotBodies:
         if self.other is not None:
             self.other.draw(self._qpos(every if other is None else other), self._pose)
 
+    @property
+    def tips(self) -> Float[np.ndarray, "F 3"]:
+        """(F, 3) fingertips of the hand that was drawn last, in the palm frame [m]."""
+        data = self.first.data
+        tips = [data.xmat[body].reshape(3, 3) @ at + data.xpos[body] for body, at in self._tips]
+        return self._in_palm(np.array(tips))
+
     def corners(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, "N 3"]:
         """(N, 3) corners of the bodies' boxes, in the palm frame [m]."""
+        return self._in_palm(self.first.corners(self._qpos(every)))
+
+    def _in_palm(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, self._pose[3:])
-        corners = self.first.corners(self._qpos(every))
-        return np.asarray(corners @ matrix.reshape(3, 3).T + self._pose[:3])
+        return np.asarray(points @ matrix.reshape(3, 3).T + self._pose[:3])
 
     def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
         """Joint positions of the drawn model; joints that only it has stay at rest."""
@@ -471,7 +484,8 @@ class HandRow:
 
         The more contact (0 to 1) a robot's fingertip has, the redder and larger it is.
         """
-        self.human.draw(landmarks, pinched)
+        if self.roots[self._human_name].visible:
+            self.human.draw(landmarks, pinched)
         lit = lit_tips(pinched)
         level = np.zeros(len(lit)) if contact is None else np.asarray(contact, float)
         colors = np.where(lit[:, None], np.array(HIGHLIGHT), self._palette)

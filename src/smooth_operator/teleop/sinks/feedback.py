@@ -25,9 +25,8 @@ from smooth_operator.teleop.runtime.statistics import RecentTimes, percentiles
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Tick
 from smooth_operator.teleop.sinks.zmq_sink import check_address, encode, open_publisher
-from smooth_operator.teleop.sources.combined import CombinedSource
 from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.webxr import WebXr
+from smooth_operator.teleop.sources.webxr import WebXr, headset_in
 from smooth_operator.types import Side
 
 FORMAT: Final = 1
@@ -300,8 +299,7 @@ class WebXrFeedback(Feedback):
 
     def use_source(self, source: LiveSource) -> None:
         """Take the headset among the sources; see ``Feedback``."""
-        parts = (source.hands, source.wrist) if isinstance(source, CombinedSource) else (source,)
-        headset = next((part for part in parts if isinstance(part, WebXr)), None)
+        headset = headset_in(source)
         if headset is None:
             raise ConfigError(
                 "--feedback webxr needs a headset: use --source webxr or --wrist-source webxr"

@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
 import trimesh
-import viser
 from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.geometry import Similarity
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.retargeting.alignment import (
@@ -56,6 +56,9 @@ from smooth_operator.teleop.pages.scene import (
 from smooth_operator.teleop.sources.webcam.camera import opencv
 from smooth_operator.types import Side
 from smooth_operator.wrist_following import PalmMotion
+
+if TYPE_CHECKING:
+    import viser
 
 _SCALE: Final = 0.32  # scale of the room; the hands beside it have their own size
 _AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # direction from the arms to the viewer
@@ -280,46 +283,41 @@ _SECTIONS: Final[Rgb] = (122, 132, 146)
 _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up, toward the viewer
 
 
-class LiveScene:
-    """The 3D scene of the live page. Palms face the viewer with the fingers up.
+class HandsScene:
+    """Robot hands beside their operator's, with tasks and arms. Palms face the viewer, fingers up.
 
     Args:
-        server: the viser server.
+        scene: scene of a viser server, or one with the same methods.
         hands: side -> robot hand.
         simulated: True if there is a simulated hand.
         drawn: side -> the same hand on a model with meshes; see ``add_meshes``.
         arm: settings of the arms that carry the hands; None for no arm.
-        root: name of the scene's root node; no earlier scene on the server may have used it.
+        root: name of the root node; no earlier node of the scene may have used it.
+        human: draw the operator's hands.
     """
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        scene: viser.SceneApi,
         hands: Mapping[Side, Hand],
         simulated: bool,
         drawn: Mapping[Side, Hand] | None = None,
         arm: ArmSettings | None = None,
         root: str = "/live",
+        human: bool = True,
     ) -> None:
         self.simulated = simulated
-        self._root = server.scene.add_frame(root, show_axes=False)
+        self._root = scene.add_frame(root, show_axes=False)
         self.scenery_number = 0
+        self._human = human
         self._own = False  # True to show the operator's own hand during a task
         self._sides = {
-            side: _SideView(server.scene, hands[side], simulated, f"{root}/{side}")
+            side: _SideView(scene, hands[side], simulated, f"{root}/{side}")
             for side in sorted(hands)  # left before right
         }
         self.add_meshes({side: HandView(hand) for side, hand in (drawn or {}).items()})
-        self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated, root)
-        self._server = server
-        # viser encodes pictures by OpenCV. If its own import of OpenCV fails, it leaves a folder on
-        # the module path that breaks later processes; this import cleans up.
-        with contextlib.suppress(SmoothOperatorError):
-            opencv()
-        # a grey that is lighter above, so that dark bodies and the finger colours stand out
-        grey = np.linspace((72, 80, 92), (44, 49, 57), 64).round().astype(np.uint8)
-        server.scene.set_background_image(np.repeat(grey[:, None], 2, axis=1), format="png")
-        self._floor = server.scene.add_grid(
+        self._room = None if arm is None else ArmRoom(scene, hands, arm, simulated, root)
+        self._floor = scene.add_grid(
             f"{root}/floor",
             _FLOOR,
             _FLOOR,
@@ -331,14 +329,7 @@ class LiveScene:
             fade_distance=2.0,
         )
         self._floor.visible = self._room is None
-        centre, half = self._arrange()
-        self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)
-
-    def remove(self) -> None:
-        """Removes the scene from the page."""
-        self._root.remove()
-        for client in self._server.get_clients().values():
-            self.aiming.forget(client)
+        self.centre, self.half = self._arrange()
 
     def _arrange(self) -> tuple[Float[np.ndarray, "3"], tuple[float, float]]:
         """Places the hands; returns the middle of the picture and half its size [m]."""
@@ -347,7 +338,7 @@ class LiveScene:
         size = high - low
         # One hand: human next to robot. Two hands: each human above its robot.
         # During a task: the robots alone, large.
-        alone = self.has_task and not self._own
+        alone = not self._human or (self.has_task and not self._own)
         columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
         if alone:
             columns, rows = len(self._sides), 1
@@ -374,16 +365,17 @@ class LiveScene:
         return middle @ _VIEW, half
 
     def _aim(self) -> None:
-        """Places the hands again and aims all cameras at them."""
-        self.aiming.centre, self.aiming.half = self._arrange()
-        self.aiming.above = _TRIAL if self.has_task else 0.0
-        for client in self._server.get_clients().values():
-            self.aiming.aim(client)
+        """Places the hands again."""
+        self.centre, self.half = self._arrange()
 
     @property
     def has_task(self) -> bool:
         """True if a hand works on the object of a task."""
         return any(view.scenery.there for view in self._sides.values())
+
+    def root_of(self, side: Side) -> Any:
+        """Frame of a robot hand's palm."""
+        return self._sides[side].row.roots["robot"]
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Shows the hands; see ``LiveSession.look``."""
@@ -449,6 +441,40 @@ class LiveScene:
             view.robot.show(meshes=visible)
 
 
+class LiveScene(HandsScene):
+    """The 3D scene of the live page, at which the browsers' cameras are aimed.
+
+    Args:
+        server: the viser server.
+        others: further arguments of ``HandsScene``.
+    """
+
+    def __init__(self, server: viser.ViserServer, *others: Any, **named: Any) -> None:
+        super().__init__(server.scene, *others, **named)
+        self._server = server
+        # viser encodes pictures by OpenCV. If its own import of OpenCV fails, it leaves a folder on
+        # the module path that breaks later processes; this import cleans up.
+        with contextlib.suppress(SmoothOperatorError):
+            opencv()
+        # a grey that is lighter above, so that dark bodies and the finger colours stand out
+        grey = np.linspace((72, 80, 92), (44, 49, 57), 64).round().astype(np.uint8)
+        server.scene.set_background_image(np.repeat(grey[:, None], 2, axis=1), format="png")
+        self.aiming = Aiming(server, _VIEW, self.centre, self.half, _LEGEND)
+
+    def remove(self) -> None:
+        """Removes the scene from the page."""
+        self._root.remove()
+        for client in self._server.get_clients().values():
+            self.aiming.forget(client)
+
+    def _aim(self) -> None:
+        super()._aim()
+        self.aiming.centre, self.aiming.half = self.centre, self.half
+        self.aiming.above = _TRIAL if self.has_task else 0.0
+        for client in self._server.get_clients().values():
+            self.aiming.aim(client)
+
+
 class _SideView:
     """Draws the human hand and the robot hands of one side."""
 
@@ -505,8 +531,9 @@ class _SideView:
             every, other = every[:count], None if other is None else other[:count]
         self.robot.draw(every, other)
         latched = np.isin(self._hand.fingers[1:], state["latched"] or ())
-        robot_tips = self._hand.tips(every)
-        self.row.draw(self._aligned(state), [robot_tips], latched, state.get("contact"))
+        robot_tips = self.robot.shown.tips
+        landmarks = self._aligned(state) if self._with_human else _UNKNOWN
+        self.row.draw(landmarks, [robot_tips], latched, state.get("contact"))
         self.targets.draw(state.get("targets"), robot_tips)
 
     def set_overlay(self, overlay: bool) -> None:
@@ -529,18 +556,8 @@ class _SideView:
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
         """Landmarks of the human hand in the palm frame, as the method uses them; NaN if
         missing."""
-        unknown = np.full((21, 3), np.nan)
-        if state.get("human") is None:
-            return unknown
-        landmarks = np.asarray(state["human"], float).reshape(21, 3)
-        missing = ~np.isfinite(landmarks).all(axis=-1)
-        if missing[list(self._hand.align_indices)].any():
-            return unknown
-        safe = np.where(missing[:, None], reference_landmarks(self._hand), landmarks)
-        fit = palm_alignment(safe, self._hand, AlignmentConfig(state.get("scale")))
-        if not fit.condition >= MIN_CONDITION:
-            return unknown
-        return np.where(missing[:, None], np.nan, fit.apply(safe))
+        fit = palm_fit(self._hand, state)
+        return _UNKNOWN if fit is None else fit.apply(_landmarks(state))
 
     def face(
         self, axes: Sequence[Sequence[float]] | None, object_pose: Sequence[float] | None
@@ -573,3 +590,32 @@ class _SideView:
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
         bodies = [self.robot.shown.corners(hand.full_configuration(q)) for q in (neutral, straight)]
         return np.concatenate([*points, *bodies])
+
+
+_UNKNOWN: Final = np.full((21, 3), np.nan)
+
+
+def _landmarks(state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
+    return np.asarray(state["human"], float).reshape(21, 3)
+
+
+def palm_fit(hand: Hand, state: Mapping[str, Any]) -> Similarity[np.ndarray] | None:
+    """Transform from the operator's landmarks to the palm frame of a robot hand.
+
+    Args:
+        state: state of the hand; see ``LiveSession.look``.
+
+    Returns:
+        None if the operator's palm is not seen.
+    """
+    if state.get("human") is None:
+        return None
+    landmarks = _landmarks(state)
+    missing = ~np.isfinite(landmarks).all(axis=-1)
+    if missing[list(hand.align_indices)].any():
+        return None
+    safe = landmarks
+    if missing.any():
+        safe = np.where(missing[:, None], reference_landmarks(hand), landmarks)
+    fit = palm_alignment(safe, hand, AlignmentConfig(state.get("scale")))
+    return fit if fit.condition >= MIN_CONDITION else None

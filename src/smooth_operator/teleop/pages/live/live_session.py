@@ -170,6 +170,10 @@ class LiveSession:
             shown["controls"] = self._controls()
         return shown
 
+    def arrival(self, side: Side) -> Arrival | None:
+        """The frame that ``look`` shows as the operator's hand."""
+        return self._arrivals.get(side)
+
     def close(self) -> None:
         """Ends the background work."""
         self.switcher.close()

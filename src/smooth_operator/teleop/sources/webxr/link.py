@@ -9,6 +9,7 @@ from page    content                                                            
 ``ping``     ``at``: time by the page's clock [s]; ``round_trip`` and ``offset`` [s],  ``pong``
              or null; ``tracking``: true while the headset tracks
 ``stop``     nothing; the page repeats it until ``pong`` has the mode *stopped*
+``look``     ``number`` of the shapes that the page has; 0 for none                    ``view``
 ===========  ========================================================================  ============
 
 ``welcome`` contains the ``session``, and ``pulses``: true if this program will send ``pulse``. That
@@ -18,6 +19,19 @@ by the host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz];
 state of the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of
 the last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by
 the host's clock, to within half the round trip.
+
+``view`` describes the robot for drawing. Its ``number`` is 0 if there is no robot. ``nodes`` follow
+if the shapes have changed. Each has a ``parent`` (its place in the list; -1 for none) and a number
+of values (``count``). Unless it is a frame, it also has ``vertices`` (float32, 3 each [m]) and
+``faces`` (uint32, 3 each) in base64, ``opacity``, ``flat`` (shading) and the ``side`` of the robot
+that it belongs to. ``middle`` is the middle of the picture in the first frame, whose x points
+right, y ahead and z up [m]. ``changed`` lists nodes and ``values`` contains their values in the
+same sequence, float32 in base64: of a frame its pose in its parent (x y z [m], quaternion w x y z),
+of a mesh for each instance its pose, three scales and linear red, green and blue from 0 to 1; NaN
+if it is hidden. ``hands`` are the robot hands by side: ``node`` (the frame of the palm), ``name``,
+``mode``, ``latched`` (fingers that pinch) and, while the operator's hand is seen, ``palm``, the
+pose of the robot's palm in the frame of the operator's wrist joint, and ``size``, that of the robot
+over the operator's. The page sends ``look`` after the answer to the previous one.
 
 The first message must be ``hello``. A refused connection is closed with one of the codes below.
 """
@@ -31,10 +45,10 @@ import secrets
 import struct
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -91,8 +105,19 @@ class LinkState:
     clock_offset_s: float = float("nan")
 
 
+class View(Protocol):
+    """What the page draws around the operator."""
+
+    def look(self, number: object) -> Mapping[str, Any]:
+        """Returns the message ``view`` for a page that has the shapes with a number."""
+
+
 class Link:
-    """Connection to a headset; a newer connection replaces it."""
+    """Connection to a headset; a newer connection replaces it.
+
+    Attributes:
+        view: what the page draws; None for the operator's hands alone.
+    """
 
     def __init__(self, mailbox: Mailbox, pairing: Pairing, pulses: bool = False) -> None:
         self._pulses = pulses
@@ -101,6 +126,7 @@ class Link:
         self._mailbox = mailbox
         self._pairing = pairing
         self._clock = mailbox.clock
+        self.view: View | None = None
         self._current: ServerConnection | None = None
         self._state = LinkState()
         self._bad_in_a_row = 0
@@ -216,6 +242,11 @@ class Link:
         content = json_object(message) or {}
         if content.get("type") == "stop":
             self._mailbox.stop()
+            return
+        if content.get("type") == "look":
+            nothing = {"type": "view", "number": 0}
+            view = nothing if self.view is None else self.view.look(content.get("number"))
+            await connection.send(json.dumps(view))
             return
         at = content.get("at")
         if content.get("type") != "ping" or not isinstance(at, int | float):

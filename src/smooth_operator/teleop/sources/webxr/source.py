@@ -28,12 +28,19 @@ from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
 from smooth_operator.own_files import make_private, read_own_file
 from smooth_operator.settings import check_range
-from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
+from smooth_operator.teleop.sources.combined import CombinedSource
+from smooth_operator.teleop.sources.live import (
+    LiveSource,
+    Running,
+    SourceHealth,
+    ThreadedSource,
+)
 from smooth_operator.teleop.sources.webxr.link import (
     MAX_BYTES,
     Link,
     LinkState,
     Pairing,
+    View,
     check_code,
 )
 from smooth_operator.types import Side
@@ -342,6 +349,13 @@ class WebXr(ThreadedSource):
         if link is not None:
             link.pulse(side, strength, seconds)
 
+    def show(self, view: View | None) -> None:
+        """Let the page draw a robot around the operator; None for the operator's hands alone."""
+        object.__setattr__(self, "_view", view)
+        link: Link | None = getattr(self, "_link", None)
+        if link is not None:
+            link.view = view
+
     def open(self) -> None:
         """Gets the certificate and opens the port."""
         try:
@@ -375,6 +389,7 @@ class WebXr(ThreadedSource):
         opened: _Opened = getattr(self, "_opened")  # noqa: B009  (set by open)
         link = Link(running.mailbox, opened.pairing, getattr(self, "_pulses", False))
         object.__setattr__(self, "_link", link)
+        link.view = getattr(self, "_view", None)
 
         def watch() -> bool:
             running.health = describe(link.state, opened.addresses, opened.pairing)
@@ -382,6 +397,12 @@ class WebXr(ThreadedSource):
 
         with opened.listening:
             asyncio.run(serve(opened.listening, opened.certificate, opened.context, link, watch))
+
+
+def headset_in(source: LiveSource) -> WebXr | None:
+    """The headset's browser among the parts of a source; None if there is none."""
+    parts = (source.hands, source.wrist) if isinstance(source, CombinedSource) else (source,)
+    return next((part for part in parts if isinstance(part, WebXr)), None)
 
 
 @dataclass(frozen=True)

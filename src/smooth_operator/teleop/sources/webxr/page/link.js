@@ -8,7 +8,7 @@ const ROUNDS = 50; // last pings, of which the fastest gives the offset
 const BACKOFF = [250, 500, 1000, 2000, 4000]; // ms
 const FINAL = new Set([4400, 4401, 4409, 4429]); // codes after which a new try is useless
 
-/** Events: "change" after each change of its state; "pulse" for the controllers. */
+/** Events: "change" after each change of its state; "pulse" for the controllers, "view" for the scene. */
 export class Link extends EventTarget {
   constructor() {
     super();
@@ -85,8 +85,8 @@ export class Link extends EventTarget {
       this.mode = message.mode;
       if (this.mode === 'stopped') this.stopping = false;
       this.dispatchEvent(new Event('change'));
-    } else if (message.type === 'pulse') {
-      this.dispatchEvent(new CustomEvent('pulse', { detail: message }));
+    } else if (['pulse', 'view'].includes(message.type)) {
+      this.dispatchEvent(new CustomEvent(message.type, { detail: message }));
     }
   }
 
@@ -126,6 +126,11 @@ export class Link extends EventTarget {
     const wait = BACKOFF[Math.min(this.tries++, BACKOFF.length - 1)];
     this.again = setTimeout(() => this.open(), wait);
     this.become('lost');
+  }
+
+  /** Send a request, whose answer becomes an event. */
+  ask(request) {
+    if (this.state === 'linked') this.socket.send(JSON.stringify(request));
   }
 
   /** Send a moment, unless the last one is still on its way. */

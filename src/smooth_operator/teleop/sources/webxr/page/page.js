@@ -87,6 +87,7 @@ part('start').addEventListener('click', async () => {
   show();
 });
 
+part('place').addEventListener('change', () => { tracking.robot.place = part('place').value; });
 part('stop').addEventListener('click', () => link.stop());
 link.addEventListener('change', show);
 tracking.addEventListener('end', show);

@@ -1,6 +1,7 @@
 // The immersive session: start, frames, end.
 
 import { Hands } from './hands.js';
+import { Robot } from './robot.js';
 import { Scene } from './scene.js';
 import { StopButton } from './stop_button.js';
 
@@ -34,6 +35,7 @@ export class Tracking extends EventTarget {
     super();
     this.link = link;
     this.hands = new Hands();
+    this.robot = new Robot(link);
     this.session = null;
     this.since = 0;
     this.lastSeen = 0;
@@ -67,7 +69,7 @@ export class Tracking extends EventTarget {
       const gl = document.createElement('canvas').getContext('webgl2', { xrCompatible: true, alpha: true });
       if (!gl) throw new Trouble('This browser has no WebGL 2, which an immersive session needs.');
       await gl.makeXRCompatible();
-      this.scene = new Scene(gl);
+      this.scene = new Scene(gl, this.robot);
       this.button = new StopButton(() => this.link.stop());
       this.layer = new XRWebGLLayer(session, gl);
       session.updateRenderState({ baseLayer: this.layer });
@@ -105,12 +107,14 @@ export class Tracking extends EventTarget {
     // Hands first: drawing must not delay them.
     const message = this.hands.read(frame, this.space, performance.now() / 1000, this.floor);
     this.link.send(message);
+    this.robot.ask();
     const seen = [this.hands.left, this.hands.right].filter(Boolean);
     if (seen.length) this.lastSeen = performance.now();
     const viewer = frame.getViewerPose(this.space);
     if (viewer) this.button.update(viewer.transform, seen, performance.now() / 1000);
     this.scene.draw(this.layer, viewer, seen, this.button.matrix, {
       dark: this.dark,
+      sides: this.hands,
       good: this.link.state === 'linked',
       board: () => this.board(),
     });
