@@ -1,11 +1,12 @@
 """The environment with the study's tasks: spaces, seeds, scores, limits of time."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from lerobot_stand_in import ENVIRONMENT, PACKAGES
+from lerobot_stand_in import ENVIRONMENT, PACKAGES, REAL
 
 from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError, UnknownNameError
@@ -76,6 +77,18 @@ def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make):
     for _ in range(25):
         seen, *_ = environment.step(hand.neutral.astype(np.float32))
     np.testing.assert_allclose(seen["agent_pos"], hand.neutral, atol=0.1)
+
+
+def test_fingers_that_close_feel_a_force(make):
+    environment = make(task="card", tactile=True)
+    seen, _ = environment.reset(seed=0)
+    forces, done = [seen["tactile"]], False
+    while not done and len(forces) < 50:
+        seen, _, done, *_ = environment.step(environment.hand.limits[:, 1])
+        forces.append(seen["tactile"])
+    assert all(environment.observation_space["tactile"].contains(each) for each in forces)
+    assert forces[0].shape == (len(environment.hand.fingers),)
+    assert np.sum(forces[0]) < 0.5 < np.sum(forces[-1])
 
 
 def test_time_is_truncated_and_a_lost_object_ends_an_episode(make):
@@ -158,3 +171,28 @@ def _move_object(environment: Any, by: tuple[float, float, float]) -> None:
     physics = environment._physics
     address = physics.model.joint(OBJECT).qposadr[0]
     physics.data.qpos[address : address + 3] += by
+
+
+@pytest.mark.lerobot
+@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+def test_env_hub_loads_the_tasks_from_a_repository(tmp_path, monkeypatch):
+    """From the cache of the Hub, in which the file lies as after a download."""
+    from lerobot.envs import make_env
+
+    monkeypatch.syspath_prepend(str(PACKAGES / ENVIRONMENT))
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    repository, commit = tmp_path / "models--me--smooth_hand", "0" * 40
+    (repository / "refs").mkdir(parents=True)
+    (repository / "refs" / "main").write_text(commit)
+    snapshot = repository / "snapshots" / commit
+    snapshot.mkdir(parents=True)
+    shutil.copy(PACKAGES / ENVIRONMENT / "env.py", snapshot)
+    made = make_env(
+        "me/smooth_hand", n_envs=2, hub_cache_dir=str(tmp_path), trust_remote_code=True
+    )["smooth_hand"]
+    tasks = [each.call("task") for each in made.values()]
+    assert tasks == [(name, name) for name in ("card", "cube", "screwdriver")]
+    seen, _ = made[0].reset(seed=0)
+    assert seen["agent_pos"].shape == (2, len(load_hand("mimic_p050").actuated))
+    for each in made.values():
+        each.close()

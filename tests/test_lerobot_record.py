@@ -63,6 +63,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "robot.keys": "all",
         "robot.wrist": "quaternion",
         "robot.arm": "panda",
+        "robot.tactile": "newtons",
         "teleop.type": "smooth_operator",
         "teleop.address": ADDRESS,
         "teleop.wrist": "quaternion",
@@ -142,7 +143,11 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded):
     hand = load_hand("mimic_p050")
     dataset = load(recorded / "dataset")
     joints = [f"{name}.pos" for name in hand.joint_names]
-    names = {"action": joints + POSE, "observation.state": joints + ARM + POSE}
+    names = {
+        "action": joints + POSE,
+        "observation.state": joints + ARM + POSE,
+        "observation.tactile": [f"tactile.{finger}.newtons" for finger in hand.fingers],
+    }
     assert dataset.num_episodes == EPISODES
     assert dataset.fps == FPS
     assert dataset.meta.robot_type == "smooth_hand"

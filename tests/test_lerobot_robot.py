@@ -322,6 +322,35 @@ def test_joints_that_follow_others_may_be_among_the_keys(robot):
     assert abs(follows - action["index_pp2mp.pos"]) < 0.1
 
 
+def test_the_contact_of_each_finger_is_observed(robot):
+    hand = load_hand("mimic_p050")
+    fingers = [f"tactile.{finger}.newtons" for finger in hand.fingers]
+    device = robot(tactile="newtons", unit="radians")
+    assert list(device.observation_features)[-len(fingers) :] == fingers
+    device.connect()
+    free = device.get_observation()
+    assert max(free[key] for key in fingers) < 0.5
+    fist, end = goal(hand, 1.0), time.perf_counter() + PATIENCE_S
+    while sum(device.get_observation()[key] for key in fingers) < 1.0:
+        assert time.perf_counter() < end
+        device.send_action(fist)
+        time.sleep(0.01)
+    device.disconnect()
+    levels = robot(tactile="levels", side="both")
+    keys = [f"{side}_tactile.{f}.level" for side in ("right", "left") for f in hand.fingers]
+    assert [key for key in levels.observation_features if "tactile" in key] == keys
+
+
+def test_a_driver_that_knows_no_forces_gives_levels(robot, fake, plugin):
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match=r"set --robot.tactile=levels"):
+        robot(tactile="newtons", sinks=["fake"]).connect()
+    driven = robot(tactile="levels", sinks=["fake"])
+    driven.connect()
+    seen = driven.get_observation()
+    levels = [seen[f"tactile.{finger}.level"] for finger in load_hand("mimic_p050").fingers]
+    assert all(0.0 <= level <= 1.0 for level in levels)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -332,6 +361,7 @@ def test_joints_that_follow_others_may_be_among_the_keys(robot):
         ({"joints": {"index_mcp2pp": "a", "index_pp2mp": "a"}}, "two joints have the same key"),
         ({"left_joints": {"index_mcp2pp": "a"}}, "side=both"),
         ({"currents": True}, "no driver in --robot.sinks"),
+        ({"tactile": "N"}, "tactile must be one of none, newtons, levels"),
         ({"unmeasured": "guess"}, "unmeasured must be one of"),
         ({"arm": "panda"}, "an arm follows the wrist"),
         ({"stale_s": -1.0}, "stale_s must be"),

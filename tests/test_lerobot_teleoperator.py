@@ -638,6 +638,8 @@ def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
     device.connect()
     assert teleop_supports_feedback(device)
     human = device.get_action()
+    device.send_feedback({"index_mcp.pos": -70.0})  # as lerobot-teleoperate for some robots
+    assert device.get_action() == pytest.approx(human)
     policy = human | {"index_mcp.pos": -70.0, "tcp.x": 0.32, "another.key": 1.0}
     if wrist == "quaternion":  # the same rotation with the other sign: halfway there is none
         policy |= {"tcp.qw": -half, "tcp.qz": -half}

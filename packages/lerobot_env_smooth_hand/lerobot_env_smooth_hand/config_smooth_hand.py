@@ -7,10 +7,11 @@ from typing import Any
 
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
-from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGE, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGE, OBS_STATE, OBS_STR
 
 from lerobot_env_smooth_hand.environment import OBJECT_NAMES
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.simulation.tasks import TASKS
 from smooth_operator.types import as_side
 
 
@@ -27,6 +28,7 @@ class SmoothHandEnv(EnvConfig):
         seconds: time after which an episode is truncated [s]; 0 for the task's own limit.
         start: initial positions of the actuated joints [rad]; empty for the neutral pose.
         variation: factor by which the ranges of the object's variation are scaled.
+        tactile: True if observations contain ``observation.tactile``, the force on each finger [N].
         pictures: True if observations contain ``observation.image``.
         width: width of a picture [px].
         height: height of a picture [px].
@@ -42,6 +44,7 @@ class SmoothHandEnv(EnvConfig):
     seconds: float = 0.0
     start: list[float] = field(default_factory=list)
     variation: float = 1.0
+    tactile: bool = False
     pictures: bool = False
     width: int = 320
     height: int = 240
@@ -52,6 +55,7 @@ class SmoothHandEnv(EnvConfig):
             ACTION: ACTION,
             "agent_pos": OBS_STATE,
             "environment_state": OBS_ENV_STATE,
+            "tactile": f"{OBS_STR}.tactile",
             "pixels": OBS_IMAGE,
         }
     )
@@ -62,12 +66,16 @@ class SmoothHandEnv(EnvConfig):
         Raises:
             SmoothOperatorError: there is no such hand.
         """
-        joints = (len(load_hand(self.hand, as_side(self.side)).actuated),)
+        hand = load_hand(self.hand, as_side(self.side))
+        joints = (len(hand.actuated),)
         self.features = {
             ACTION: PolicyFeature(type=FeatureType.ACTION, shape=joints),
             "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=joints),
             "environment_state": PolicyFeature(type=FeatureType.ENV, shape=(len(OBJECT_NAMES),)),
         }
+        if self.tactile:
+            fingers = (len(hand.fingers),)
+            self.features["tactile"] = PolicyFeature(type=FeatureType.STATE, shape=fingers)
         if self.pictures:
             shape = (self.height, self.width, 3)
             self.features["pixels"] = PolicyFeature(type=FeatureType.VISUAL, shape=shape)
@@ -92,8 +100,27 @@ class SmoothHandEnv(EnvConfig):
             "seconds": self.seconds or None,
             "start": self.start or None,
             "variation": self.variation,
+            "tactile": self.tactile,
             "pictures": self.pictures,
             "width": self.width,
             "height": self.height,
             "render_mode": self.render_mode,
         }
+
+
+def make_env(
+    n_envs: int = 1, use_async_envs: bool = False, cfg: SmoothHandEnv | None = None
+) -> dict[str, dict[int, Any]]:
+    """Make the vectorised environments of all tasks, for LeRobot's EnvHub.
+
+    Args:
+        n_envs: number of environments of each task.
+        use_async_envs: True to run them in processes of their own.
+        cfg: settings of the only task; None for the defaults of all tasks.
+
+    Returns:
+        ``smooth_hand`` -> number of the task, in the order card, cube, screwdriver -> environment.
+    """
+    configs = [SmoothHandEnv(task=name) for name in TASKS] if cfg is None else [cfg]
+    made = [each.create_envs(n_envs, use_async_envs)["smooth_hand"][0] for each in configs]
+    return {"smooth_hand": dict(enumerate(made))}

@@ -38,9 +38,10 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
 
     The observation contains ``agent_pos``, the (m,) measured positions of the actuated joints
     [rad]; ``environment_state``, the (7,) position [m] and quaternion wxyz of the object in the
-    world; and, if requested, the picture ``pixels``. An action consists of the (m,) targets of the
-    same joints [rad]; they are clipped to the joints' limits. The reward is the score of the trial,
-    0, 0.5 or 1, in the last step of an episode; ``info["is_success"]`` is true for a score of 1.
+    world; and, if requested, ``tactile``, the (f,) normal force on each finger, thumb first [N],
+    and the picture ``pixels``. An action consists of the (m,) targets of the same joints [rad];
+    they are clipped to the joints' limits. The reward is the score of the trial, 0, 0.5 or 1, in
+    the last step of an episode; ``info["is_success"]`` is true for a score of 1.
 
     The object's start, friction and mass differ in each episode, as in the benchmark's worlds;
     ``reset`` with a seed repeats an episode.
@@ -54,6 +55,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         start: (m,) initial positions of the actuated joints [rad]; None for the neutral pose.
         variation: factor by which the ranges of the object's variation are scaled; 0 for the
             nominal object.
+        tactile: True if the observation contains ``tactile``.
         pictures: True if the observation contains ``pixels``.
         width: width of a picture [px].
         height: height of a picture [px].
@@ -76,6 +78,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         seconds: float | None = None,
         start: Sequence[float] | None = None,
         variation: float = 1.0,
+        tactile: bool = False,
         pictures: bool = False,
         width: int = 320,
         height: int = 240,
@@ -96,7 +99,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         self._fps, self._variation = fps, variation
         limit = self.simulated_task.seconds if seconds is None else seconds
         self._max_episode_steps = max(1, math.ceil(limit * fps - 1e-6))
-        self._pictures, self._size = pictures, (width, height)
+        self._tactile, self._pictures, self._size = tactile, pictures, (width, height)
         low, high = self.hand.limits.T
         joints = len(self.hand.actuated)
         self._start = self.hand.neutral if start is None else np.asarray(start, float)
@@ -109,6 +112,9 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
             "agent_pos": spaces.Box(-np.inf, np.inf, (joints,), np.float32),
             "environment_state": spaces.Box(-np.inf, np.inf, (len(OBJECT_NAMES),), np.float32),
         }
+        if tactile:
+            forces = (len(self.hand.fingers),)
+            parts["tactile"] = spaces.Box(0.0, np.inf, forces, np.float32)
         if pictures:
             parts["pixels"] = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.observation_space = spaces.Dict(parts)
@@ -187,6 +193,8 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
                 state.position, state.quaternion, self._scene.start[1]
             ),
         }
+        if self._tactile:
+            observation["tactile"] = physics.finger_forces.astype(np.float32)
         if self._pictures:
             observation["pixels"] = self._picture(physics)
         return observation

@@ -33,6 +33,10 @@ class SmoothHandConfig(RobotConfig):
             ``ur5e``, ``xarm7`` or ``iiwa14``, written as for ``teleop --arm``. The wrist and the
             arm's joints are then also observed. Empty for no arm.
         currents: also observe the current of each actuator, ``index.current`` in the driver's unit.
+        tactile: ``none``, or also observe the contact of each finger: ``newtons``, the force
+            ``tactile.FINGER.newtons`` [N], or ``levels``, ``tactile.FINGER.level`` from 0 (none) to
+            1 (full contact by the scale of the driver's table). Pads of which only levels are known
+            need ``levels``.
         unmeasured: what to do about a joint that the hand does not measure: ``refuse`` to connect,
             or observe its ``command``.
         velocity: largest velocity of any joint [rad/s].
@@ -52,6 +56,7 @@ class SmoothHandConfig(RobotConfig):
     wrist_joints: bool = True
     arm: str = ""
     currents: bool = False
+    tactile: str = "none"
     unmeasured: str = "refuse"
     velocity: float = 8.0
     acceleration: float = 1500.0

@@ -26,6 +26,9 @@ if TYPE_CHECKING:  # which needs the extra arm
 FACTORS = {"degrees": 180.0 / math.pi, "radians": 1.0}
 """Unit of the keys -> number of these units per radian."""
 
+TACTILE = {"none": "", "newtons": "newtons", "levels": "level"}
+"""Setting of the contact that is observed -> end of its keys."""
+
 _PAUSE_S = 0.5
 """Length of a pause after which the hand approaches the next action slowly [s]."""
 
@@ -74,7 +77,10 @@ class HandPort:
         self.keys = tuple(f"{prefix}{name}.pos" for name in names.values())
         if len(set(self.keys)) < len(self.keys):
             raise ValueError(f"joints: two joints have the same key: {', '.join(self.keys)}")
-        self._prefix = prefix
+        self._prefix, quantity = prefix, TACTILE[config.tactile]
+        self.tactile = tuple(
+            f"{prefix}tactile.{finger}.{quantity}" for finger in hand.fingers if quantity
+        )
         self.wrist = WristPort(config.wrist, prefix, self.side, arm, self._factor)
         commanded = [name for name in names if name in hand.actuated_names]
         self._given = [f"{prefix}{names[name]}.pos" for name in commanded]
@@ -91,10 +97,14 @@ class HandPort:
         """Find the sink that measures the hand, and start from the measured pose.
 
         Raises:
-            DeviceNotConnectedError: no sink measures the hand, or some joints are not measured.
+            DeviceNotConnectedError: no sink measures the hand, or some joints or the contact of
+                fingers that the settings ask for are not measured.
         """
-        deadline = time.perf_counter() + _PATIENCE_S
-        while (state := self._look(sinks)) is None and time.perf_counter() < deadline:
+        state, deadline = None, time.perf_counter() + _PATIENCE_S
+        while time.perf_counter() < deadline:
+            state = self._look(sinks)
+            if state is not None and (not self.tactile or state.contact is not None):
+                break
             time.sleep(0.02)
         if state is None:
             raise DeviceNotConnectedError(
@@ -108,6 +118,7 @@ class HandPort:
                 f"the {self.side} hand does not measure {', '.join(unknown)}; to observe their "
                 "commands instead, set --robot.unmeasured=command"
             )
+        self._contact(state)
         self._limiter.put(np.where(np.isfinite(actuated), actuated, self.hand.neutral))
         self._target = self._limiter.q.copy()
         self._last = -math.inf  # the first action is approached slowly, however soon it comes
@@ -182,7 +193,7 @@ class HandPort:
         values = dict(zip(self.keys, angles[self._measured].tolist(), strict=True))
         if self._config.currents:
             values |= self._currents(state)
-        return values | self.wrist.observation(sinks)
+        return values | self._contact(state) | self.wrist.observation(sinks)
 
     def _currents(self, state: HandState) -> dict[str, float]:
         keys = [f"{self._prefix}{name}.current" for name in state.actuators]
@@ -192,6 +203,20 @@ class HandPort:
                 "--robot.currents"
             )
         return dict(zip(keys, state.currents.tolist(), strict=True))
+
+    def _contact(self, state: HandState) -> dict[str, float]:
+        """Contact of each finger by its key; empty if the settings do not ask for it."""
+        if not self.tactile:
+            return {}
+        found = state.contact
+        values = None if found is None else getattr(found, self._config.tactile)
+        if values is None or not np.isfinite(values).all():
+            other = "" if found is None else "; set --robot.tactile=levels"
+            raise DeviceNotConnectedError(
+                f"the {self.side} hand does not measure the contact of all fingers in "
+                f"{self._config.tactile}{other or '; remove --robot.tactile'}"
+            )
+        return dict(zip(self.tactile, values.tolist(), strict=True))
 
     def _command(
         self,

@@ -13,7 +13,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 from lerobot_robot_smooth_hand.camera import SmoothHandCamera
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
-from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
+from lerobot_robot_smooth_hand.hand_port import FACTORS, TACTILE, HandPort
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
@@ -75,7 +75,8 @@ class SmoothHand(Robot):
         """Key -> ``float``, and the shape of each camera's picture."""
         features: dict[str, Any] = {key: float for hand in self._hands for key in hand.keys}
         for hand in self._hands:
-            features |= dict.fromkeys((*hand.currents(self._sinks), *hand.wrist.observed), float)
+            keys = (*hand.currents(self._sinks), *hand.tactile, *hand.wrist.observed)
+            features |= dict.fromkeys(keys, float)
         for name, camera in self.config.cameras.items():
             features[name] = (camera.height, camera.width, 3)
         return features
@@ -132,7 +133,7 @@ class SmoothHand(Robot):
         self._connected = True
 
     def get_observation(self) -> dict[str, Any]:
-        """Return measured joints, currents and pictures.
+        """Return measured joints, currents, contacts and pictures.
 
         Raises:
             DeviceNotConnectedError: the robot is not connected, or the newest measurement is too
@@ -190,6 +191,7 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
         ("keys", ("actuated", "all")),
         ("wrist", tuple(WRIST_NAMES)),
         ("unmeasured", ("refuse", "command")),
+        ("tactile", tuple(TACTILE)),
     ):
         value = getattr(config, name)
         if value not in known:

@@ -71,6 +71,22 @@ class HumanHandsDataset(LeRobotDataset):
         super().add_frame({**frame, **self.hands.values})
 
 
+def _touch_apart(features: dict[str, Any]) -> dict[str, Any]:
+    """Move contacts and currents out of the state into columns of their own.
+
+    LeRobot's rollouts give a policy only the joints of the state (``.pos``, ``.vel``).
+    """
+    state = features["observation.state"]
+    columns: dict[str, list[str]] = {}
+    for name in state["names"]:
+        kind = "current" if name.endswith(".current") else "state"
+        columns.setdefault("tactile" if "tactile." in name else kind, []).append(name)
+    return features | {
+        f"observation.{column}": {**state, "shape": (len(names),), "names": names}
+        for column, names in columns.items()
+    }
+
+
 def _dataset(cfg: RecordConfig, robot: Any, hands: HumanHands) -> Any:
     """Create the data set, or open the one that ``--resume`` continues."""
     data = cfg.dataset
@@ -81,7 +97,7 @@ def _dataset(cfg: RecordConfig, robot: Any, hands: HumanHands) -> Any:
         (of_observation, create_initial_features(observation=robot.observation_features)),
     ):
         features |= aggregate_pipeline_dataset_features(pipeline, initial, use_videos=data.video)
-    features |= hands.features
+    features = _touch_apart(features) | hands.features
     cameras = len(getattr(robot, "cameras", ()))
     options = {
         "root": data.root,

@@ -384,9 +384,9 @@ class SmoothOperator(Teleoperator):
         """Set the action that is held, such as the last one of a policy (``feedback_features``).
 
         LeRobot's DAgger calls this while the policy pauses, so that the human takes over where the
-        robot is. There is no force on the human's hand.
+        robot is. There is no force on the human's hand. Without ``enable_torque`` it does nothing.
         """
-        for hand in self._hands:
+        for hand in self._hands if self._torque else ():
             hand.put(feedback)
 
     def disconnect(self) -> None:
