@@ -29,7 +29,6 @@ from jaxtyping import Float, Int
 
 from smooth_operator.errors import RecordingError, SmoothOperatorError, brief, listed
 from smooth_operator.formats.arrays import LOG_RATIO, Allowance
-from smooth_operator.formats.both_hands import one_hand
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.landmarks import FINGERS
@@ -394,11 +393,14 @@ def _numbers(words: Sequence[str], what: str) -> list[float]:
         raise RecordingError(f"{what} must hold numbers, not {brief(' '.join(words))}") from None
 
 
-def read_bvh_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
+def read_bvh_hands(
+    path: Path, rate: float | None, side: Side | None = None
+) -> dict[Side, HandRecording]:
     """Reads both hands of a BVH file, or the only one with fingers.
 
     Args:
         rate: frame rate [Hz], for a file without ``Frame Time``.
+        side: not used, since the names of the joints state it.
 
     Raises:
         RecordingError: the file is damaged, or it has no hand with fingers.
@@ -430,10 +432,3 @@ def read_bvh_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
         return skeleton.recordings(np.array(rows), stamps, path.stem)
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from error
-
-
-def read_bvh(
-    path: Path, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """Reads a hand from a BVH file; see ``read_recording``."""
-    return one_hand(read_bvh_hands(path, rate), side, path)

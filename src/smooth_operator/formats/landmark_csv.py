@@ -24,7 +24,7 @@ The first columns must be ``timestamp`` and ``side``, if the table has them, and
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,7 +33,6 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, RecordingError, brief, listed
 from smooth_operator.formats.arrays import LOG_RATIO, Allowance
-from smooth_operator.formats.both_hands import one_hand
 from smooth_operator.formats.checks import check_side, stamps_from_rate
 from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.landmark_order import in_our_order
@@ -104,27 +103,18 @@ class _Table:
         return out
 
 
-def read_landmark_csv_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Reads the hands of a plain table by side; without a column ``side``, a right hand.
+def read_landmark_csv_hands(
+    path: Path, rate: float | None, side: Side | None = None
+) -> dict[Side, HandRecording]:
+    """Reads the hands of a plain table by side.
 
     Args:
         rate: frame rate [Hz], for a table without ``timestamp``.
+        side: side of the hand, for a table without ``side``; None for right.
 
     Raises:
         RecordingError: the table is damaged, or lacks a column.
     """
-    return _plain(path, rate, None)
-
-
-def read_landmark_csv(
-    path: Path, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """Reads a hand from a plain table; see ``read_recording``."""
-    hands = _plain(path, rate, side)
-    return one_hand(hands, side, path)
-
-
-def _plain(path: Path, rate: float | None, asked: Side | None) -> dict[Side, HandRecording]:
     table = _Table(path)
     points = table.numbers(_PLAIN).reshape(-1, len(LANDMARKS), 3)
     if "side" in table.columns:
@@ -134,50 +124,42 @@ def _plain(path: Path, rate: float | None, asked: Side | None) -> dict[Side, Han
             raise RecordingError(f"{path}: {error}") from None
         assumed = False
     else:
-        label, assumed = check_side((), asked, str(path))
+        label, assumed = check_side((), side, str(path))
         sides = np.full(len(table), label, object)
-    found = [side for side in SIDES if (sides == side).any()]
+    found = [each for each in SIDES if (sides == each).any()]
     if not found:
         raise RecordingError(f"{path}: the table has no rows")
     stamped = "timestamp" in table.columns
     stamps = table.numbers(["timestamp"])[:, 0] if stamped else np.empty(0)
     hands: dict[Side, HandRecording] = {}
-    for side in found:
-        rows = sides == side
+    for each in found:
+        rows = sides == each
         own = stamps[rows] if stamped else stamps_from_rate(int(rows.sum()), rate, str(path))
         meta = {"format": "landmark_csv", "side_assumed": assumed}
-        hands[side] = HandRecording(points[rows], own, side, name=path.stem, meta=meta)
+        hands[each] = HandRecording(points[rows], own, each, name=path.stem, meta=meta)
     return hands
 
 
-def read_aria_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Reads the hands in Project Aria's table, by side; RecordingError if the table is damaged,
-    lacks a column, or has no hand."""
+def read_aria_hands(
+    path: Path, rate: float | None = None, side: Side | None = None
+) -> dict[Side, HandRecording]:
+    """Reads the hands in Project Aria's table, by side. The table has timestamps and states the
+    sides, so ``rate`` and ``side`` are not used. RecordingError if the table is damaged, lacks a
+    column, or has no hand."""
     table = _Table(path)
     stamps = table.numbers([_ARIA_TIME])[:, 0] / 1e6
     hands: dict[Side, HandRecording] = {}
-    for side in SIDES:
-        names = _aria_names(side)
-        columns = table.numbers([f"{side}_tracking_confidence", *names])
+    for each in SIDES:
+        names = [f"t{axis}_{each}_landmark_{n}_device" for n in range(21) for axis in _AXES]
+        columns = table.numbers([f"{each}_tracking_confidence", *names])
         points = in_our_order(columns[:, 1:].reshape(-1, 21, 3), "aria")
         seen = columns[:, 0] > 0.0  # -1 and zeros without a hand
         if seen.any():
             valid = seen[:, None] & np.isfinite(points).all(axis=-1)
             meta: dict[str, Any] = {"format": "aria_csv"}
-            hands[side] = HandRecording(
-                points, stamps, side, valid=valid, name=path.stem, meta=meta
+            hands[each] = HandRecording(
+                points, stamps, each, valid=valid, name=path.stem, meta=meta
             )
     if not hands:
         raise RecordingError(f"{path}: it contains no hand with a confidence above 0")
     return hands
-
-
-def _aria_names(side: Side) -> Iterable[str]:
-    return [f"t{axis}_{side}_landmark_{n}_device" for n in range(21) for axis in _AXES]
-
-
-def read_aria(
-    path: Path, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """Reads a hand from Project Aria's table; see ``read_recording``."""
-    return one_hand(read_aria_hands(path, rate), side, path)

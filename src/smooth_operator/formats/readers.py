@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -152,7 +151,7 @@ class Files:
         """
         layout_order(options.order)  # an unknown one is refused, whatever the file
         reader = recording_format(file_kind(ref.path))
-        return replace(reader, read_hands=None).read(ref, options)
+        return reader.read_one_hand(ref, options)
 
 
 FILES: Final = Files()

@@ -19,7 +19,7 @@ from smooth_operator.errors import (
     listed,
 )
 from smooth_operator.formats.arrays import PICKLE_REMEDY
-from smooth_operator.formats.both_hands import checked_hands, on_common_stamps
+from smooth_operator.formats.both_hands import checked_hands, on_common_stamps, one_hand
 from smooth_operator.formats.checks import (
     check_anatomy,
     check_rate,
@@ -98,24 +98,27 @@ class Reader:
             landmarks, by its name) as given by the caller, each None if the caller does not state
             it. Raises ``RecordingError`` if the file can't be used. The result is checked like
             other recordings. This is a function, or the path from which it is imported when a file
-            is read.
+            is read. None for a format with both hands.
         magic: possible first bytes of its files.
         suffixes: suffixes of its files, in lower case (``.csv``). They select the files of a
             folder; for a format without ``magic``, they also identify its files.
         expects: expected content of a file, for messages.
-        read_hands: ``read_hands(path, rate)`` returns the recordings of all hands by side, for a
-            format whose clips have both; None for a format with one hand.
+        read_hands: ``read_hands(path, rate, side)`` returns the recordings of all hands by side,
+            for a format whose clips have both; ``side`` is that of a file that does not state it.
+            None for a format with one hand.
 
     Raises:
-        ConfigError: neither ``magic`` nor ``suffixes`` is given.
+        ConfigError: neither ``magic`` nor ``suffixes`` is given, or no function that reads.
     """
 
     what: str
-    read_hand: Callable[[Path, float | None, Side | None, str | None], HandRecording] | Entry
+    read_hand: Callable[[Path, float | None, Side | None, str | None], HandRecording] | Entry | None
     magic: tuple[bytes, ...] = ()
     suffixes: tuple[str, ...] = ()
     expects: str = "a recording of one hand"
-    read_hands: Callable[[Path, float | None], dict[Side, HandRecording]] | Entry | None = None
+    read_hands: (
+        Callable[[Path, float | None, Side | None], dict[Side, HandRecording]] | Entry | None
+    ) = None
 
     def __post_init__(self) -> None:
         if not (self.magic or self.suffixes):
@@ -123,6 +126,8 @@ class Reader:
                 f"a reader of {self.what} must have magic (first bytes) or suffixes, to "
                 "recognise its files"
             )
+        if self.read_hand is None and self.read_hands is None:
+            raise ConfigError(f"a reader of {self.what} must have read_hand or read_hands")
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """True for a file of this format.
@@ -151,10 +156,14 @@ class Reader:
         is NaN. RecordingError if the file can't be used, or its units, order or side are wrong."""
         if self.read_hands is not None:
             where = str(ref.path)
-            hands = _loaded(self.read_hands)(ref.path, options.rate)
+            hands = _loaded(self.read_hands)(ref.path, options.rate, options.side)
             checked = checked_hands(on_common_stamps(hands, where), where, self.expects)
             form = next(iter(checked.values())).meta["format"]
             return Clip(ref.name, checked, form, (ref.path,), meta={"form": form})
+        return self.read_one_hand(ref, options)
+
+    def read_one_hand(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Reads one hand of a file as a clip; see ``read``."""
         recording, rate = rated_if_unstamped(
             lambda rate: with_assumed_side(
                 lambda side: self.recording(ref.path, rate, side, options.order),
@@ -183,7 +192,11 @@ class Reader:
             MissingExtraError: the format needs an extra that is not installed.
         """
         try:
-            recording: Any = _loaded(self.read_hand)(path, rate, side, layout)
+            recording: Any
+            if self.read_hand is not None:
+                recording = _loaded(self.read_hand)(path, rate, side, layout)
+            elif self.read_hands is not None:
+                recording = one_hand(_loaded(self.read_hands)(path, rate, side), side, path)
         except SmoothOperatorError:
             raise
         except (OSError, ValueError) as error:  # of a plugin that leaves a bad file to NumPy
@@ -265,7 +278,7 @@ HDF5: Final = Reader(
 )
 AVP: Final = Reader(
     "a .jsonl of Tracking Streamer (Vision Pro)",
-    Entry(f"{_HEADSETS}:read_avp_recording"),
+    None,
     tuple(
         f'{{"{key}"'.encode()
         for key in (
@@ -280,7 +293,7 @@ AVP: Final = Reader(
 )
 HTS: Final = Reader(
     "a text recording of Hand Tracking Streamer (Quest)",
-    Entry(f"{_HEADSETS}:read_hts_lines"),
+    None,
     tuple(
         f"{start}{who}".encode()
         for start in ("", "\n")
@@ -292,7 +305,7 @@ HTS: Final = Reader(
 )
 BVH: Final = Reader(
     "a .bvh of a body capture with fingers",
-    Entry(f"{_FORMATS}.bvh:read_bvh"),
+    None,
     (b"HIERARCHY", b"\xef\xbb\xbfHIERARCHY"),
     (".bvh",),
     "finger joints, named as in Axis Studio, MotionBuilder, hc_mocap, Xsens or Rokoko",
@@ -300,7 +313,7 @@ BVH: Final = Reader(
 )
 ARIA_CSV: Final = Reader(
     "hand_tracking_results.csv of Project Aria",
-    Entry(f"{_FORMATS}.landmark_csv:read_aria"),
+    None,
     (b"tracking_timestamp_us", b"\xef\xbb\xbftracking_timestamp_us"),
     (".csv",),
     "columns tracking_timestamp_us, left_tracking_confidence, tx_left_landmark_0_device ... "
@@ -309,7 +322,7 @@ ARIA_CSV: Final = Reader(
 )
 LANDMARK_CSV: Final = Reader(
     "a .csv of landmarks with a header",
-    Entry(f"{_FORMATS}.landmark_csv:read_landmark_csv"),
+    None,
     tuple(
         f"{mark}{stamp}{side}wrist_x".encode()
         for mark in ("", "\ufeff")

@@ -51,8 +51,8 @@ _NUMBER: Final = {int, float}  # without bool, a subclass of int
 class _Collected:
     """Frames of both hands in a file, and a count of damaged lines."""
 
-    def __init__(self, path: Path, side: Side | None, wrist: bool = False) -> None:
-        self._path, self._side = path, side
+    def __init__(self, path: Path, wrist: bool = False) -> None:
+        self._path = path
         self._frames: dict[Side, list[HandFrame]] = {"left": [], "right": []}
         self._moments: dict[Side, list[int]] = {"left": [], "right": []}
         self._together: set[Side] = set()  # hands of the current moment
@@ -63,7 +63,7 @@ class _Collected:
         self._reason = ""
 
     def add(self, frame: HandFrame | None) -> None:
-        if frame is None or self._side not in (None, frame.side):
+        if frame is None:
             return
         if frame.side in self._together:  # a second frame of this hand begins the next moment
             self._together.clear()
@@ -85,40 +85,21 @@ class _Collected:
         self._damaged += 1
         self._reason = str(error)
 
-    def recording(self, rate: float | None, form: str) -> HandRecording:
-        """Recording of the requested hand, or of the only hand in the file."""
-        sides = self._seen()
-        if len(sides) > 1:
-            raise RecordingError(
-                f"{self._path}: it contains both hands; choose one with --side right or "
-                "--side left (in Python: side='right')"
-            )
-        frames = self._frames[sides[0]]
-        if all(frame.stamp is not None for frame in frames):
-            return self._made(sides[0], np.array([frame.time for frame in frames]), form)
-        return self._made(sides[0], stamps_from_rate(len(frames), rate, str(self._path)), form)
-
     def recordings(self, rate: float | None, form: str) -> dict[Side, HandRecording]:
         """Recordings of the hands in the file, each with its own frames, on one clock.
 
         Without stamps, hands between two frames of the same side belong to one moment.
         """
-        sides = self._seen()
+        sides = [side for side, frames in self._frames.items() if frames]
+        if not sides:
+            why = f"; {self._damaged} lines can't be read: {self._reason}" if self._damaged else ""
+            raise RecordingError(f"{self._path}: it contains no hand{why}")
         if all(frame.stamp is not None for side in sides for frame in self._frames[side]):
             stamps = {side: np.array([f.time for f in self._frames[side]]) for side in sides}
         else:
             even = stamps_from_rate(self._moment + 1, rate, str(self._path))
             stamps = {side: even[self._moments[side]] for side in sides}
         return {side: self._made(side, stamps[side], form) for side in sides}
-
-    def _seen(self) -> list[Side]:
-        """Sides of the hands in the file, at least one."""
-        sides = [side for side, frames in self._frames.items() if frames]
-        if not sides:
-            which = "hand" if self._side is None else f"{self._side} hand"
-            why = f"; {self._damaged} lines can't be read: {self._reason}" if self._damaged else ""
-            raise RecordingError(f"{self._path}: it contains no {which}{why}")
-        return sides
 
     def _made(self, side: Side, stamps: Float[np.ndarray, " T"], form: str) -> HandRecording:
         frames = self._frames[side]
@@ -147,23 +128,20 @@ def _stacked(frames: list[HandFrame], name: str) -> np.ndarray | None:
     return None if any(value is None for value in values) else np.stack(values)
 
 
-def read_avp_recording(
-    path: Path, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """Reads a hand from Tracking Streamer's ``tracking.jsonl``; see ``read_recording``."""
-    return _avp(path, side).recording(rate, "avp")
-
-
-def _avp(path: Path, side: Side | None) -> _Collected:
-    frames = _Collected(path, side, wrist=True)
+def read_avp_hands(
+    path: Path, rate: float | None = None, side: Side | None = None
+) -> dict[Side, HandRecording]:
+    """Reads all hands of a ``tracking.jsonl``, each with its own frames, on one clock. The file has
+    timestamps and states the sides, so ``rate`` and ``side`` are not used. RecordingError if there
+    is no hand in it."""
+    frames = _Collected(path, wrist=True)
     for message in _objects(path, frames):
-        try:
-            for key, hand_side in _SIDES:
-                if side in (None, hand_side):
-                    frames.add(_avp_hand(message, key, hand_side))
-        except RecordingError as error:
-            frames.damaged(error)
-    return frames
+        for key, hand_side in _SIDES:
+            try:
+                frames.add(_avp_hand(message, key, hand_side))
+            except RecordingError as error:
+                frames.damaged(error)
+    return frames.recordings(rate, "avp")
 
 
 def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None:
@@ -185,15 +163,19 @@ def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None
     return avp_frame(matrices, wrist, side, float(stamp))
 
 
-def read_hts_lines(
-    path: Path, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """Reads a hand from a file of Hand Tracking Streamer's lines; see ``read_recording``."""
-    return _hts(path, side).recording(rate, "hts")
+def read_hts_hands(
+    path: Path, rate: float | None, side: Side | None = None
+) -> dict[Side, HandRecording]:
+    """Reads all hands from lines of Hand Tracking Streamer, each with its own frames, on one clock.
 
+    Args:
+        rate: frame rate [Hz] of a file without stamps.
+        side: not used, since the lines state it.
 
-def _hts(path: Path, side: Side | None) -> _Collected:
-    frames, hands = _Collected(path, side), HtsHands()
+    Raises:
+        RecordingError: there is no hand in it, or it has no stamps and there is no rate.
+    """
+    frames, hands = _Collected(path), HtsHands()
     with path.open("rb") as stream:
         for whole in stream:
             # netcat writes no line breaks between datagrams
@@ -202,25 +184,7 @@ def _hts(path: Path, side: Side | None) -> _Collected:
                     frames.add(hands.add(parse_line(line), 0.0))
                 except RecordingError as error:
                     frames.damaged(error)
-    return frames
-
-
-def read_avp_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Reads all hands of a ``tracking.jsonl``, each with its own frames, on one clock;
-    RecordingError if there is no hand in it."""
-    return _avp(path, None).recordings(rate, "avp")
-
-
-def read_hts_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Reads all hands from lines of Hand Tracking Streamer, each with its own frames, on one clock.
-
-    Args:
-        rate: frame rate [Hz] of a file without stamps.
-
-    Raises:
-        RecordingError: there is no hand in it, or it has no stamps and there is no rate.
-    """
-    return _hts(path, None).recordings(rate, "hts")
+    return frames.recordings(rate, "hts")
 
 
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
