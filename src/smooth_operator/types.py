@@ -294,6 +294,11 @@ class CommandTrajectory:
     def __len__(self) -> int:
         return len(self.stamps)
 
+    def __getitem__(self, rows: slice | Bool[np.ndarray, " T"]) -> CommandTrajectory:
+        """Returns some of the commands."""
+        times = self.stamps[rows], self.latency_ms[rows], self.status[rows]
+        return CommandTrajectory(self.joint_positions[rows], self.joint_names, *times)
+
 
 def _set(obj: object, name: str, value: object) -> None:
     object.__setattr__(obj, name, value)  # normalising a frozen dataclass in __post_init__

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import platform
 import re
@@ -14,7 +13,9 @@ from typing import Any, ClassVar, Final
 
 from smooth_operator.cli.common_options import Common
 from smooth_operator.extras import DISTRIBUTION
+from smooth_operator.formats.environment import processor
 from smooth_operator.own_files import folder_problem
+from smooth_operator.parallel import usable_cores
 from smooth_operator.user_folders import SWITCH, is_off, user_cache
 
 
@@ -115,10 +116,8 @@ def environment() -> dict[str, Any]:
     return {
         "system": platform.system(),
         "machine": platform.machine(),
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count(),
+        "processor": processor(),
+        "cores": usable_cores(),
         "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
         "governor": _line(Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")),
         "python": platform.python_version(),
@@ -159,14 +158,6 @@ def _missing(extra: str) -> list[str]:
         if re.search(rf"extra == ['\"]{extra}['\"]", each)
     ]
     return [name for name in names if name != DISTRIBUTION and _version(name) is None]
-
-
-def _processor() -> str | None:
-    with contextlib.suppress(OSError), Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
-        for line in lines:
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or None
 
 
 def _line(path: Path) -> str | None:

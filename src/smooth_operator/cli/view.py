@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -135,6 +135,7 @@ class _Run:
 def _run(options: View, out: Path, source: Path) -> _Run:
     import numpy as np
 
+    from smooth_operator.formats.checks import frame_slice
     from smooth_operator.formats.commands import config_path, read_commands
     from smooth_operator.formats.readers import read_recording
     from smooth_operator.hands.registry import load_hand
@@ -143,7 +144,9 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     from smooth_operator.planning import read_configuration
     from smooth_operator.wrist_following import PalmMotion
 
-    commands = _chosen(read_commands(out), options.frames)
+    commands = read_commands(out)
+    if options.frames is not None:
+        commands = commands[frame_slice(options.frames, len(commands))]
     config = read_configuration(config_path(out)) or {}
     rate = options.rate if options.rate is not None else config.get("rate")
     recording = read_recording(
@@ -166,21 +169,6 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     wrist = commands.joint_positions[:, len(hand.joint_names) :]
     palms = np.stack([*map(PalmMotion(hand).at, wrist)]) if wrist.shape[1] else None
     return _Run(out, hand, trace, made_by, palms)
-
-
-def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajectory:
-    from smooth_operator.formats.checks import frame_slice
-
-    if frames is None:
-        return commands
-    cut = frame_slice(frames, len(commands))
-    return replace(
-        commands,
-        **{
-            name: getattr(commands, name)[cut]
-            for name in ("joint_positions", "stamps", "latency_ms", "status")
-        },
-    )
 
 
 def _labels(runs: Sequence[_Run]) -> list[str]:

@@ -66,20 +66,10 @@ def robot_part(whole: RobotClip, frames: slice) -> RobotClip:
         return whole
     name = f"{whole.clip.name}_{start:06d}-{stop:06d}"
     part = clip_part(whole.clip, slice(start, stop))
-    commands = {
-        side: replace(
-            each,
-            joint_positions=each.joint_positions[frames],
-            stamps=each.stamps[frames],
-            latency_ms=each.latency_ms[frames],
-            status=each.status[frames],
-        )
-        for side, each in whole.commands.items()
-    }
     return replace(
         whole,
         clip=replace(part, name=name, meta={**part.meta, "part": [start, stop]}),
-        commands=commands,
+        commands={side: each[frames] for side, each in whole.commands.items()},
         T_world_wrist={side: wrist[frames] for side, wrist in whole.T_world_wrist.items()},
         valid={side: valid[frames] for side, valid in whole.valid.items()},
         tracks={track: values[frames] for track, values in whole.tracks.items()},

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import platform
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.parallel import usable_cores
 from smooth_operator.version import package_version
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
@@ -21,8 +21,8 @@ def environment() -> dict[str, Any]:
     return {
         "versions": versions(),
         "platform": platform.platform(),
-        "cpu": _cpu(),
-        "cpu_cores": _cores(),
+        "cpu": processor(),
+        "cpu_cores": usable_cores(),
         "device": _device(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -45,19 +45,13 @@ def _version(package: str) -> str:
         return "unknown"
 
 
-def _cpu() -> str:
+def processor() -> str:
+    """Name of the processor."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-def _cores() -> int:
-    """Number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _device() -> str:

@@ -281,23 +281,14 @@ class Episode:
         else:
             first, last = stamps[0] - STAMP_TOLERANCE_S, stamps[-1] + STAMP_TOLERANCE_S
             rows = (self.commands.stamps >= first) & (self.commands.stamps <= last)
-        commands = replace(
-            self.commands,
-            joint_positions=self.commands.joint_positions[rows],
-            stamps=self.commands.stamps[rows],
-            latency_ms=self.commands.latency_ms[rows],
-            status=self.commands.status[rows],
+        return replace(
+            self,
+            recording=recording,
+            commands=self.commands[rows],
+            stages_ms={name: np.asarray(each)[rows] for name, each in self.stages_ms.items()},
+            wrist=None if self.wrist is None else self.wrist[rows],
+            arm=None if self.arm is None else self.arm[rows],
         )
-        stages = {name: np.asarray(values)[rows] for name, values in self.stages_ms.items()}
-        wrist = None if self.wrist is None else self.wrist[rows]
-        arm = None if self.arm is None else self.arm[rows]
-        parts: dict[str, Any] = {
-            "commands": commands,
-            "stages_ms": stages,
-            "wrist": wrist,
-            "arm": arm,
-        }
-        return replace(self, recording=recording, **parts)
 
     def joined(self, other: Episode, where: str) -> Episode:
         """Returns this recording with the commands of another file. RecordingError if ``other``

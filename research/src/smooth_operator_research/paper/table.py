@@ -56,15 +56,8 @@ def table_quality(cell: Cell, advance: object) -> dict[str, np.ndarray]:
 
 def settled(outcome: Execution) -> Execution:
     """Removes the frames of the lead."""
-    commands = outcome.commands
-    reduced = replace(
-        commands,
-        joint_positions=commands.joint_positions[LEAD:],
-        stamps=commands.stamps[LEAD:],
-        latency_ms=commands.latency_ms[LEAD:],
-        status=commands.status[LEAD:],
-    )
-    return replace(outcome, commands=reduced, tracking_loss=outcome.tracking_loss[LEAD:])
+    commands, loss = outcome.commands[LEAD:], outcome.tracking_loss[LEAD:]
+    return replace(outcome, commands=commands, tracking_loss=loss)
 
 
 def table_latency(
