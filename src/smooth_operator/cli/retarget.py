@@ -175,10 +175,9 @@ def retarget_lerobot(options: Retarget, name: str) -> None:
 
     Raises:
         SmoothOperatorError: the data set can't be retargeted.
-        KeyboardInterrupt: the run was stopped; finished data files are kept.
     """
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.cli.outputs import folder_for, stopped
+    from smooth_operator.cli.outputs import folder_for
     from smooth_operator.cli.session import requested
     from smooth_operator.datasets.another_hand import find_dataset, retarget_dataset
     from smooth_operator.execution import checked
@@ -192,13 +191,10 @@ def retarget_lerobot(options: Retarget, name: str) -> None:
     source, progress = find_dataset(name), Progressing(options.quiet)
     request = requested(options, side=options.side, wrist_joints=options.wrist_joints != "off")
     start_jax(one_thread=False)
-    try:
-        with folder_for(options.output.resolve().parent):
-            provenance = retarget_dataset(
-                source, options.output, checked(request), videos=options.videos, reporter=progress
-            )
-    except KeyboardInterrupt:
-        raise stopped(options.output) from None
+    with folder_for(options.output.resolve().parent):
+        provenance = retarget_dataset(
+            source, options.output, checked(request), videos=options.videos, reporter=progress
+        )
     progress.note(f"wrote {options.output}")
     if options.json:
         print(to_json(provenance))

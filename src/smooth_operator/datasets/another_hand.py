@@ -17,14 +17,14 @@ import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from smooth_operator.atomic_files import claimed, output_error, write_json
+from smooth_operator.atomic_files import write_json
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.writers.lerobot import place
@@ -44,18 +44,21 @@ from smooth_operator.episode_files.lerobot.tables import (
     arrow,
     column,
     columns_statistics,
+    dataset_readme,
     joint_statistics,
     numbers,
     parquet,
     read_table,
+    write_description,
 )
-from smooth_operator.episode_files.lerobot.writer import MARK, PROGRAM, dataset_readme
+from smooth_operator.episode_files.lerobot.writer import MARK, PROGRAM, TITLE
+from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import OutputError, RecordingError, SmoothOperatorError, listed
 from smooth_operator.formats.foreign import foreign_dataset, is_dataset
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.reporter import Reporter
-from smooth_operator.result_cache import content_digest, key_digest
+from smooth_operator.result_cache import content_digest
 from smooth_operator.types import Side, Status
 
 _BATCH: Final = 64
@@ -102,8 +105,7 @@ def retarget_dataset(
 ) -> dict[str, Any]:
     """Writes a LeRobot data set with the actions of another robot hand; see the module's docstring.
 
-    ``output`` appears when it is complete. A run that was stopped leaves a hidden folder beside it,
-    from which the next run with the same settings continues, one data file at a time.
+    ``output`` appears when it is complete; a run that was stopped leaves nothing.
 
     Args:
         source: folder of a LeRobot data set (v3.0) with human hands.
@@ -130,35 +132,55 @@ def retarget_dataset(
     files: dict[Path, list[int]] = {}
     for number in dataset.numbers:
         files.setdefault(data_file(dataset, number), []).append(number)
-    key = key_digest(
-        [recipe.digest, list(sides), content_digest(source / "meta" / "info.json")]
-        + [(f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files]
-    )
-    with _stage(output, key) as stage:
-        parts: dict[int, dict[str, Statistics]] = {}
-        configuration: dict[str, Any] = {}
-        frames = sum(int(row["length"]) for row in dataset.episodes)
-        with reporter.counting("retargeting", frames, "frames") as advance:
-            for file, episodes in files.items():
-                record = stage / ".parts" / f"{file.parent.name}-{file.stem}.json"
-                if not record.is_file():
-                    _write_file(dataset, file, episodes, recipe, layout, stage, record, advance)
-                else:
-                    advance(sum(int(dataset.row(number)["length"]) for number in episodes))
-                done = read_json(record)
-                configuration = done["configuration"]
-                for number, statistics in done["episodes"].items():
-                    parts[int(number)] = {
-                        name: Statistics.from_json(part) for name, part in statistics.items()
-                    }
+    statistics: dict[int, dict[str, Statistics]] = {}
+    configuration: Mapping[str, Any] = {}
+    frames = sum(int(row["length"]) for row in dataset.episodes)
+    with (
+        staged_folder(output) as stage,
+        reporter.counting("retargeting", frames, "frames") as advance,
+    ):
+        for file, episodes in files.items():
+            target = stage / file.relative_to(dataset.path.resolve())
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with ExitStack() as opened:
+                writer: Any = None
+                for number, clip, rows in _retargeted(dataset, file, episodes, recipe):
+                    columns = layout.columns(clip, rows, file)
+                    statistics[number] = columns_statistics(columns)
+                    kept = [n for n in rows.column_names if n in layout.features]
+                    arrays = {name: rows.column(name) for name in kept}
+                    arrays |= {name: column(values) for name, values in columns.items()}
+                    table = arrow().table(arrays)
+                    if writer is None:
+                        writer = opened.enter_context(parquet().ParquetWriter(target, table.schema))
+                    writer.write_table(table, row_group_size=table.num_rows)
+                    configuration = configuration or clip.config
+                    advance(len(clip.clip), label=clip.clip.name)
         provenance = _provenance(dataset, configuration)
-        _write_meta(dataset, stage, layout, parts, provenance)
+        _write_meta(dataset, stage, layout, statistics, provenance)
         for video in (source / "videos").rglob("*"):
             if video.is_file():
                 place(video, stage / video.relative_to(source), videos)
-        shutil.rmtree(stage / ".parts")
-        stage.rename(output)
     return provenance
+
+
+def _retargeted(
+    dataset: Dataset, file: Path, episodes: Sequence[int], recipe: Recipe
+) -> Iterator[tuple[int, RobotClip, Any]]:
+    """Yields each episode of a data file with its commands and its rows."""
+    table = read_table(file)
+    size = 1 if recipe.one_by_one else _BATCH
+    for begin in range(0, len(episodes), size):
+        block = episodes[begin : begin + size]
+        read = [read_dataset_clip(dataset, number, table) for number in block]
+        results = retarget_clips([clip for clip, _ in read], recipe)
+        for number, (_, rows), result in zip(block, read, results, strict=True):
+            if isinstance(result, SmoothOperatorError):
+                raise RecordingError(
+                    f"{dataset.path}, episode {number}: {result}; to leave this episode out, "
+                    "delete it with lerobot-edit-dataset and run again"
+                ) from result
+            yield number, result, rows
 
 
 def _checked(source: Path, request: RetargetRequest) -> tuple[Dataset, tuple[Side, ...]]:
@@ -278,68 +300,6 @@ def _moved(values: np.ndarray, follows: bool) -> np.ndarray:
     return np.concatenate([values[:1], values[:-1]])
 
 
-@contextmanager
-def _stage(output: Path, key: str) -> Iterator[Path]:
-    """Yields the hidden folder of an unfinished run; that of a run with other settings is emptied
-    first."""
-    stage = output.with_name(f".{output.name}.unfinished")
-    mark = stage / ".parts" / "key.json"
-    try:
-        stage.mkdir(exist_ok=True)
-        with claimed(stage):
-            if not mark.is_file() or read_json(mark) != key:
-                for item in stage.iterdir():
-                    shutil.rmtree(item) if item.is_dir() else item.unlink()
-                mark.parent.mkdir()
-                write_json(mark, key)
-            yield stage
-    except OSError as error:
-        raise output_error(output, error) from error
-
-
-def _write_file(
-    dataset: Dataset,
-    file: Path,
-    episodes: Sequence[int],
-    recipe: Recipe,
-    layout: _Layout,
-    stage: Path,
-    record: Path,
-    advance: Any,
-) -> None:
-    """Writes a data file of the new data set, and then the statistics of its episodes."""
-    target = stage / file.relative_to(dataset.path.resolve())
-    target.parent.mkdir(parents=True, exist_ok=True)
-    table = read_table(file)
-    statistics: dict[int, Any] = {}
-    configuration: dict[str, Any] = {}
-    tables = []
-    size = 1 if recipe.one_by_one else _BATCH
-    for begin in range(0, len(episodes), size):
-        block = episodes[begin : begin + size]
-        read = [read_dataset_clip(dataset, number, table) for number in block]
-        done = retarget_clips([clip for clip, _ in read], recipe)
-        for number, (clip, rows), made in zip(block, read, done, strict=True):
-            if isinstance(made, SmoothOperatorError):
-                raise RecordingError(
-                    f"{dataset.path}, episode {number}: {made}; finished data files are kept. To "
-                    "leave this episode out, delete it with lerobot-edit-dataset and run again"
-                ) from made
-            configuration = configuration or dict(made.config)
-            columns = layout.columns(made, rows, file)
-            found = columns_statistics(columns)
-            statistics[number] = {name: part.to_json() for name, part in found.items()}
-            new = {name: rows.column(name) for name in rows.column_names if name in layout.features}
-            tables.append(
-                arrow().table(new | {name: column(values) for name, values in columns.items()})
-            )
-            advance(len(clip), label=clip.name)
-    with parquet().ParquetWriter(target, tables[0].schema) as writer:
-        for each in tables:
-            writer.write_table(each, row_group_size=each.num_rows)
-    write_json(record, {"configuration": configuration, "episodes": statistics})
-
-
 def _provenance(dataset: Dataset, configuration: Mapping[str, Any]) -> dict[str, Any]:
     """Content of ``meta/smooth_operator.json``: the former data set and the settings."""
     info, mark = dataset.path / "meta" / "info.json", dataset.path / MARK
@@ -387,10 +347,8 @@ def _write_meta(
     for name in changed:
         stats[name] = joint_statistics([each[name] for each in parts.values()]).to_lists()
     info = {**dataset.info, "features": layout.features, "robot_type": layout.robot}
-    write_json(new / "stats.json", stats, indent=4)
-    write_json(new / "info.json", info, indent=4)
+    write_description(stage, info, stats, dataset_readme(info, TITLE))
     write_json(stage / MARK, provenance, indent=4)
-    (stage / "README.md").write_text(dataset_readme(info), encoding="utf-8")
 
 
 def _own(text: str | None, provenance: Mapping[str, Any]) -> str | None:

@@ -63,7 +63,7 @@ def staged_folder(path: Path) -> Iterator[Path]:
             temporary.mkdir()
             yield temporary
             for file in temporary.rglob("*"):
-                if file.is_file():
+                if file.is_file() and os.access(file, os.W_OK):  # a linked video may be read-only
                     with file.open("rb+") as stream:
                         os.fsync(stream.fileno())
             if target.exists():

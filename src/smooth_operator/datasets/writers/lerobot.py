@@ -29,7 +29,7 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import clip_document, drift, resampled
 from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
@@ -42,11 +42,7 @@ from smooth_operator.datasets.writers.shards import (
     publish,
     remove,
 )
-from smooth_operator.episode_files.lerobot.schema import (
-    column_of,
-    dataset_features,
-    index_columns,
-)
+from smooth_operator.episode_files.lerobot.schema import dataset_features, index_columns
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
     EPISODES_PATH,
@@ -59,8 +55,8 @@ from smooth_operator.episode_files.lerobot.tables import (
     arrow,
     column,
     columns_statistics,
-    dataset_card,
     dataset_info,
+    dataset_readme,
     episode_row,
     episodes_table,
     joint_statistics,
@@ -68,6 +64,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     parquet,
     standard_fps,
     tasks_table,
+    write_description,
 )
 from smooth_operator.errors import RecordingError, reason, require
 from smooth_operator.io.jsonable import to_json
@@ -439,10 +436,11 @@ class _Writer(ShardedWriter):
             fps=layout.fps,
             video_path=None if layout.video is None else VIDEO_PATH,
         )
-        write_json(meta / "stats.json", stats, indent=4)
-        write_json(meta / "info.json", info, indent=4)
-        with atomic_write(self.output / "README.md") as file:
-            file.write(_card(info).encode())
+        more = f"Hands: {layout.robot}. Human hands were retargeted; no robot moved."
+        if layout.video is not None:
+            more += f" The statistics of `{VIDEO_KEY}` are ImageNet's; they were not measured."
+        title = "Human hands retargeted to robot hands"
+        write_description(self.output, info, stats, dataset_readme(info, title, more, _UNITS))
 
     # Frames a second, and videos.
 
@@ -520,24 +518,6 @@ def _video_statistics(frames: int) -> dict[str, Any]:
     zero, one = each((0.0,) * 3), each((1.0,) * 3)
     mean, std = each(_IMAGENET["mean"]), each(_IMAGENET["std"])
     return {"min": zero, "max": one, "mean": mean, "std": std, "count": [frames]}
-
-
-def _card(info: dict[str, Any]) -> str:
-    """Text of a data set's README, from ``meta/info.json``."""
-    text = (
-        f"A LeRobot data set ({info['codebase_version']}), written by smooth-operator: "
-        f"{info['total_episodes']} episodes, {info['total_frames']} frames, {info['fps']:g} frames "
-        f"per second, hands {info['robot_type']}. Human hands were retargeted; no robot moved."
-    )
-    rows = []
-    for name, feature in info["features"].items():
-        size = " × ".join(map(str, feature["shape"]))
-        unit = _UNITS.get(name) or column_of(name)[1]
-        rows.append((name, f"{feature['dtype']} × {size}", unit))
-    readme = dataset_card("Human hands retargeted to robot hands", text, rows)
-    if VIDEO_KEY in info["features"]:
-        readme += f"\nThe statistics of `{VIDEO_KEY}` are ImageNet's; they were not measured.\n"
-    return readme
 
 
 LEROBOT: Final = DatasetFormat("a LeRobot data set (v3.0)", _Writer)

@@ -12,6 +12,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.episode_files.lerobot.schema import column_of
 from smooth_operator.errors import MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import NUMBER_BYTES, Allowance, damaged
 from smooth_operator.io.plain_files import check_plain_file
@@ -382,15 +384,47 @@ def tasks_table(tasks: Iterable[str]) -> Any:
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
-def dataset_card(title: str, text: str, columns: Iterable[tuple[str, str, str]]) -> str:
-    """Makes the README of a dataset; the dataset hub reads its header to show the frames as a
+def write_description(
+    folder: Path, info: Mapping[str, Any], statistics: Mapping[str, Any], readme: str
+) -> None:
+    """Writes ``info.json``, ``stats.json`` and the README of a data set, each atomically.
+
+    Args:
+        folder: folder of the data set, with its folder ``meta``.
+        statistics: statistics of every feature, as from ``Statistics.to_lists``.
+        readme: text from ``dataset_readme``.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    write_json(folder / "meta" / "stats.json", statistics, indent=4)
+    write_json(folder / "meta" / "info.json", info, indent=4)
+    with atomic_write(folder / "README.md") as file:
+        file.write(readme.encode())
+
+
+def dataset_readme(
+    info: Mapping[str, Any], title: str, more: str = "", units: Mapping[str, str] | None = None
+) -> str:
+    """Makes the README of a data set; the data set hub reads its header to show the frames as a
     table.
 
     Args:
-        columns: name, type, and unit or meaning of each column.
+        info: content of ``meta/info.json``.
+        more: further text below the title.
+        units: unit or meaning of columns for which it is not that of ``schema.COLUMNS``.
     """
-    rows = [f"| `{name}` | {kind} | {unit} |" for name, kind, unit in columns]
-    return "\n".join((_CARD_HEAD, f"# {title}", "", text, "", *_COLUMNS_HEAD, *rows)) + "\n"
+    units = {name: column_of(name)[1] for name in info["features"]} | dict(units or {})
+    rows = []
+    for name, feature in info["features"].items():
+        size = "" if feature["shape"] == [1] else f" × {' × '.join(map(str, feature['shape']))}"
+        rows.append(f"| `{name}` | {feature['dtype']}{size} | {units[name]} |\n")
+    return (
+        f"{_CARD_HEAD}\n# {title}\n\nA LeRobot data set ({info['codebase_version']}), written by "
+        f"smooth-operator: {info['total_episodes']} episodes, {info['total_frames']} frames, "
+        f"{info['fps']:g} frames per second. {more}\n\n"
+        f"| column | type | unit, meaning |\n|---|---|---|\n{''.join(rows)}"
+    )
 
 
 _CARD_HEAD: Final = """---
@@ -403,4 +437,3 @@ configs:
   data_files: data/*/*.parquet
 ---
 """
-_COLUMNS_HEAD: Final = ("| column | type | unit, meaning |", "|---|---|---|")

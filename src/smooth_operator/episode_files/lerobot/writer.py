@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
+from smooth_operator.atomic_files import write_json
 from smooth_operator.episode_files.lerobot.columns import (
     ROBOT_FPS,
     ROBOT_TYPE,
@@ -19,7 +20,7 @@ from smooth_operator.episode_files.lerobot.columns import (
     widened,
 )
 from smooth_operator.episode_files.lerobot.human import human_parts
-from smooth_operator.episode_files.lerobot.schema import Layout, column_of, dataset_features
+from smooth_operator.episode_files.lerobot.schema import Layout, dataset_features
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
     EPISODES_PATH,
@@ -30,9 +31,9 @@ from smooth_operator.episode_files.lerobot.tables import (
     Statistics,
     arrow,
     column,
-    column_statistics,
-    dataset_card,
+    columns_statistics,
     dataset_info,
+    dataset_readme,
     episode_row,
     episodes_table,
     joint_statistics,
@@ -40,6 +41,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     parquet,
     standard_fps,
     tasks_table,
+    write_description,
 )
 from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import ConfigError, RecordingError
@@ -49,6 +51,8 @@ from smooth_operator.io.jsonable import to_json
 
 MARK: Final = "meta/smooth_operator.json"
 PROGRAM: Final = "smooth-operator"
+TITLE: Final = "Human hands and robot commands"
+"""Title of the README."""
 _KEPT_BYTES: Final = 256 << 20  # of episodes kept between the two passes, so not read again
 
 Load: TypeAlias = Callable[[], Episode]
@@ -144,7 +148,7 @@ def write_dataset(
                     notes.look(episode)
                 count = len(values["index"])
                 place = files.append({name: column(v) for name, v in values.items()})
-                statistics.append({name: column_statistics(v) for name, v in values.items()})
+                statistics.append(columns_statistics(values))
                 own = {} if survey.robot else {OWN_COLUMN: to_json(_own(episode))}
                 rows.append(episode_row(number, first, count, task, place) | own)
                 first += count
@@ -159,7 +163,6 @@ def write_dataset(
             name: joint_statistics([part[name] for part in statistics]).to_lists()
             for name in features
         }
-        _write_json(stage / "meta" / "stats.json", joint)
         info = dataset_info(
             features,
             robot=survey.robot_type,
@@ -168,27 +171,9 @@ def write_dataset(
             tasks=len(survey.tasks),
             fps=fps,
         )
-        _write_json(stage / "meta" / "info.json", info)
-        _write_json(stage / MARK, {"program": PROGRAM, "version": 1})
-        (stage / "README.md").write_text(dataset_readme(info), encoding="utf-8")
+        write_description(stage, info, joint, dataset_readme(info, TITLE))
+        write_json(stage / MARK, {"program": PROGRAM, "version": 1}, indent=4)
     return notes.texts()
-
-
-def dataset_readme(info: dict[str, Any]) -> str:
-    """Makes the README from ``meta/info.json``."""
-    text = (
-        f"A LeRobot dataset ({info['codebase_version']}), written by smooth-operator: "
-        f"{info['total_episodes']} episodes, {info['total_frames']} frames,\n{info['fps']} "
-        "frames per second."
-    )
-    rows = []
-    for name, feature in info["features"].items():
-        kind = feature["dtype"] + ("" if feature["names"] is None else f" × {feature['shape'][0]}")
-        unit = column_of(name)[1]
-        if name == "observation.state" and info["robot_type"] == ROBOT_TYPE:
-            unit = "rad, measured joint positions"
-        rows.append((name, kind, unit))
-    return dataset_card("Human hands and robot commands", text, rows)
 
 
 def is_own_dataset(path: Path) -> bool:
@@ -297,11 +282,6 @@ class _DataFiles:
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.close()
-
-
-def _write_json(path: Path, value: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(to_json(value, indent=4) + "\n", encoding="utf-8")
 
 
 class _Notes:
