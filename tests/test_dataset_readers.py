@@ -15,7 +15,7 @@ from smooth_operator.datasets import retargeting
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.writers.registry import WRITERS
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.formats.clip import CAMERA, Clip, ReadingOptions
+from smooth_operator.formats.clip import CAMERA, Clip, ReadingOptions, in_frame
 from smooth_operator.formats.registry import READERS, RESEARCH_LAYOUTS, clip_readers
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid, matrices, separation, wrist_from_landmarks
@@ -73,7 +73,7 @@ def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path):
         assert np.flatnonzero(~is_valid(recording.T_world_wrist)).tolist() == [3]
         assert found.confidence[side].tolist() == [1.0] * 3 + [0.0] + [1.0] * 26
         # the camera sees the wrist where the file's matrices put it
-        seen = found.T_camera_wrist(side)
+        seen = in_frame(found, "camera").hands[side].T_world_wrist
         expected = files.in_camera(side)[:, 0]
         np.testing.assert_allclose(seen[4:, :3], expected[4:], atol=1e-6)
         assert (seen[4:, 2] > 0).all()  # the camera looks at the hands
@@ -250,7 +250,7 @@ def check_camera(found: Clip, gone: dict[str, list[int]], tolerance: float) -> N
         np.testing.assert_allclose(
             recording.landmarks[there], expected[there], atol=tolerance, rtol=0
         )
-        wrist = found.T_camera_wrist(side)
+        wrist = in_frame(found, "camera").hands[side].T_world_wrist
         assert is_valid(wrist).tolist() == there.tolist()
         np.testing.assert_allclose(wrist[there, :3], expected[there, 0], atol=tolerance)
         # the axes of the palm, as the wrist's matrix turns them into the camera's

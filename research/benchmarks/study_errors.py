@@ -22,7 +22,7 @@ import pandas as pd
 import tyro
 
 from smooth_operator.cli.console import Progressing
-from smooth_operator.result_cache import Job, ResultLog
+from smooth_operator.result_cache import Job
 from smooth_operator_research.run_report import markdown
 from smooth_operator_study.analysis.results import MODES, OUTCOMES, POOLED
 from smooth_operator_study.chunks import chunk_values, study_digest
@@ -32,6 +32,7 @@ from smooth_operator_study.design.plan import Plan, make_plan
 from smooth_operator_study.design.protocol import Condition, Protocol, Task
 from smooth_operator_study.power.power_run import rate, verdicts
 from smooth_operator_study.power.simulated_study import codes_of, planned_data
+from smooth_operator_study.result_log import ResultLog
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 
 Three = tuple[float, float, float]

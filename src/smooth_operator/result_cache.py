@@ -9,9 +9,9 @@ of data sets (``datasets.store``).
 from __future__ import annotations
 
 import hashlib
-import os
 import sys
 import zipfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
 from smooth_operator.atomic_files import output_error, write_json
-from smooth_operator.errors import DocumentError, SmoothOperatorError
-from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import TaskResult
 from smooth_operator.source_digest import HOME
@@ -48,11 +48,6 @@ def content_digest(content: bytes | Path) -> str:
         return hashlib.sha256(content).hexdigest()
     with content.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def content_name(prefix: str, key: object) -> str:
-    """Name of a result that is identified by its key alone."""
-    return f"{prefix}-{key_digest(key)[:20]}"
 
 
 def outside_code(*parts: Any) -> list[str]:
@@ -94,12 +89,20 @@ def no_note(text: str) -> None:
     """A ``Note`` that shows nothing."""
 
 
-class _Store:
-    """Base of the stores: counts stored results that other code computed."""
+class ResultStore(ABC):
+    """Base of a store of results, which counts the results that other code computed."""
 
     def __init__(self, place: Path, note: Note) -> None:
         self._place, self.note = place, note
         self._outdated = 0
+
+    @abstractmethod
+    def find(self, name: str, key: object, code: str) -> Any | None:
+        """Returns the stored result of a key and a digest of code, or None."""
+
+    @abstractmethod
+    def keep(self, name: str, key: object, code: str, value: Any) -> None:
+        """Stores a result under a name; OutputError if it can't be written."""
 
     def note_outdated(self) -> None:
         """Reports how many results since the last call were computed by other code."""
@@ -112,7 +115,7 @@ class _Store:
         self._outdated = 0
 
 
-class ResultCache(_Store):
+class ResultCache(ResultStore):
     """Store of results as JSON files in a folder.
 
     A stored result is valid for its key and its digest of the code. A file that is damaged, or from
@@ -192,79 +195,8 @@ class ResultCache(_Store):
         write_json(path, {**record, "value": value})
 
 
-class ResultLog(_Store):
-    """Store of results as lines of a file, for one writing process at a time.
-
-    A line has the fields of the result, and ``key`` and ``code`` as in a ``ResultCache``. Lines
-    with another key or other code are kept but not used. The incomplete line of a killed process is
-    removed.
-
-    Args:
-        path: the file; created with the first result.
-        note: shows messages about lines that could not be used.
-
-    Raises:
-        OutputError: the file can't be read.
-    """
-
-    def __init__(self, path: Path, note: Note = no_note) -> None:
-        super().__init__(path, note)
-        self.path = path
-        self._results: dict[tuple[str, str], dict[str, Any]] = {}
-        self._keys: set[str] = set()
-        try:
-            content = path.read_bytes() if path.exists() else b""
-            whole = content[: content.rfind(b"\n") + 1]
-            if len(whole) < len(content):
-                os.truncate(path, len(whole))
-        except OSError as error:
-            raise output_error(path, error) from error
-        damaged = sum(not self._take(line) for line in whole.splitlines())
-        if damaged:
-            lines = (
-                "1 line that is not a result"
-                if damaged == 1
-                else f"{damaged} lines that are not results"
-            )
-            note(f"{path} holds {lines} and will not be used")
-
-    def find(self, name: str, key: object, code: str) -> dict[str, Any] | None:
-        """Returns the stored result of this key and this code, or None. The name is ignored."""
-        digest = key_digest(key)
-        value = self._results.get((digest, code))
-        self._outdated += value is None and digest in self._keys
-        return value
-
-    def keep(self, name: str, key: object, code: str, value: Mapping[str, Any]) -> None:
-        """Appends a result, and flushes it to the disk; OutputError if the file can't be
-        written."""
-        record = {"key": key_digest(key), "code": code}
-        try:
-            with self.path.open("ab") as file:
-                file.write(to_json({**record, **value}).encode() + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise output_error(self.path, error) from error
-        self._results[record["key"], code] = dict(value)
-
-    def _take(self, line: bytes) -> bool:
-        """Reads a line; returns False if it is not a result."""
-        try:
-            content = parse_json(line)
-            key, code = str(content.pop("key")), str(content.pop("code"))
-        except (DocumentError, AttributeError, KeyError, TypeError):
-            return False
-        self._keys.add(key)
-        self._results[key, code] = content
-        return True
-
-
 Execute: TypeAlias = Callable[[Sequence[T]], Iterable[TaskResult[Any]]]
 """Function that computes tasks in any order, such as ``PersistentPool.run``."""
-
-Cache: TypeAlias = "ResultCache | ResultLog"
-"""A store of results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +239,9 @@ class JobResult(Generic[T]):
     fresh: bool = False
 
 
-def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T]], list[Job[T]]]:
+def find_results(
+    jobs: Sequence[Job[T]], cache: ResultStore
+) -> tuple[list[JobResult[T]], list[Job[T]]]:
     """Returns the stored results of jobs, and the jobs that have none."""
     finished, missing = [], []
     for job in jobs:
@@ -329,7 +263,7 @@ def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
 
 def compute_results(
     jobs: Sequence[Job[T]],
-    cache: Cache,
+    cache: ResultStore,
     execute: Execute[T],
     value: Callable[[Job[T], TaskResult[Any]], Any] = lambda _, result: result.value,
 ) -> Iterator[JobResult[T]]:

@@ -12,9 +12,10 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.scene import wrist_of_points
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet, read_table
 from smooth_operator.errors import MissingExtraError, RecordingError, brief, listed
-from smooth_operator.formats.both_hands import checked_hands, wrist_of_points
+from smooth_operator.formats.both_hands import checked_hands
 from smooth_operator.formats.checks import check_stamps, stamps_from_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.formats.hand_arrays import shares

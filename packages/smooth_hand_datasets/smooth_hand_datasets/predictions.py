@@ -33,10 +33,11 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.scene import wrist_of_points
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.arrays import Allowance, open_arrays
-from smooth_operator.formats.both_hands import checked_hands, first_video, wrist_of_points
+from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.formats.hand_arrays import shares

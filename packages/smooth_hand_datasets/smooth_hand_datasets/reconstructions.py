@@ -29,11 +29,12 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_hand_datasets.mano_model import ManoModel, PlacedHand, load_model
+from smooth_hand_datasets.scene import wrist_of_points
 from smooth_hand_datasets.unpickle import array, load_restricted
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
-from smooth_operator.formats.both_hands import checked_hands, first_video, wrist_of_points
+from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.types import HandRecording, Side, unit_poses

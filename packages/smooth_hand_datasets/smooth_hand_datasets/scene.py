@@ -17,6 +17,7 @@ from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.clip import CAMERA, Clip, ClipRef, ObjectTrack
 from smooth_operator.io.documents import read_json
+from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.retargeting.palm import palm_axes
 from smooth_operator.types import HandRecording, Side
 
@@ -217,3 +218,17 @@ def read_table(path: Path, needs: Collection[str] = ()) -> dict[Any, Any]:
         return table(read_json(path), str(path), needs)
     except (OSError, DocumentError) as error:
         raise RecordingError(f"{path}: it can't be read: {error}") from error
+
+
+def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np.ndarray, "T 7"]:
+    """Computes poses of the wrist from the points of a hand in a fixed frame, such as the camera's.
+
+    Args:
+        points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.
+
+    Returns:
+        (T, 7) poses in that frame, NaN where the palm is not seen.
+    """
+    with np.errstate(all="ignore"):  # of points beyond any hand, which are refused later
+        wrist: np.ndarray = wrist_from_landmarks(points, side)
+    return wrist

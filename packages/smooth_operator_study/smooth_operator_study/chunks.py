@@ -11,11 +11,11 @@ from smooth_operator.parallel import run_tasks
 from smooth_operator.result_cache import (
     Job,
     JobResult,
-    ResultLog,
     code_digest,
     compute_results,
     find_results,
 )
+from smooth_operator_study.result_log import ResultLog
 
 T = TypeVar("T")
 

@@ -21,7 +21,6 @@ from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.anatomy import MIRRORED
 from smooth_operator.io.landmark_order import chirality
 from smooth_operator.landmarks import WRIST, index
-from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.types import HandRecording, Side
 
 _TOGETHER: Final = 0.4
@@ -177,20 +176,6 @@ def _spread(
         T_world_wrist=spread(hand.T_world_wrist),
         forearm=spread(hand.forearm),
     )
-
-
-def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np.ndarray, "T 7"]:
-    """Computes poses of the wrist from the points of a hand in a fixed frame, such as the camera's.
-
-    Args:
-        points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.
-
-    Returns:
-        (T, 7) poses in that frame, NaN where the palm is not seen.
-    """
-    with np.errstate(all="ignore"):  # of points beyond any hand, which are refused later
-        wrist: np.ndarray = wrist_from_landmarks(points, side)
-    return wrist
 
 
 def first_video(*places: Path) -> Path | None:

@@ -129,15 +129,6 @@ class Clip:
         """Name of the frame of wrists, objects and camera; None if no wrist is known."""
         return next((hand.world for hand in self.hands.values() if hand.world is not None), None)
 
-    def T_camera_wrist(self, side: Side) -> Float[np.ndarray, "T 7"] | None:
-        """Returns the (T, 7) poses of a wrist in the camera's frame; None if unknown."""
-        wrist = self.hands[side].T_world_wrist if side in self.hands else None
-        if wrist is None or self.world == CAMERA:
-            return wrist
-        if self.T_world_camera is None:
-            return None
-        return poses.relative(self.T_world_camera, wrist)
-
 
 Frame: TypeAlias = Literal["world", "camera"]
 """Frame of wrists and objects: fixed to the scene, or the camera's."""

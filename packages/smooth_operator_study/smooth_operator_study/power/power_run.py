@@ -23,7 +23,6 @@ from smooth_operator.errors import StudyError
 from smooth_operator.result_cache import (
     Job,
     Note,
-    ResultLog,
     no_note,
 )
 from smooth_operator_study.analysis.dunnett import quantile
@@ -43,6 +42,7 @@ from smooth_operator_study.design.plan import make_plan, scaled
 from smooth_operator_study.design.plan_file import plan_of, plan_table
 from smooth_operator_study.design.protocol import ALPHA, Protocol
 from smooth_operator_study.power.simulated_study import Assumptions, Simulator, Spread
+from smooth_operator_study.result_log import ResultLog
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

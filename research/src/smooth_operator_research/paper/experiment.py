@@ -26,8 +26,8 @@ from smooth_operator.result_cache import (
     Note,
     ResultCache,
     compute_results,
-    content_name,
     find_results,
+    key_digest,
     no_note,
 )
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
@@ -434,7 +434,7 @@ def cell_job(
         compute: computes the cell.
         code: digest of code that it depends on in addition to ``experiment_code``.
     """
-    name = content_name(key["kind"], key)
+    name = f"{key['kind']}-{key_digest(key)[:20]}"
     return Job(name, key, f"{experiment_code()} {code}".strip(), compute, label, effort)
 
 

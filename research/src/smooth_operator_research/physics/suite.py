@@ -26,7 +26,6 @@ from smooth_operator.reporter import Reporter
 from smooth_operator.result_cache import (
     Job,
     JobResult,
-    ResultLog,
     compute_results,
     content_digest,
     find_results,
@@ -42,6 +41,7 @@ from smooth_operator_research.physics.measure import (
     clip_record,
 )
 from smooth_operator_research.physics.results import MeasureResults, Row
+from smooth_operator_study.result_log import ResultLog
 
 MEASURES: Final[dict[str, tuple[str, str]]] = {
     "reachable": ("reachable_motion", "ReachableMotion"),

@@ -13,7 +13,7 @@ from smooth_operator.benchmark.cells import benchmark_code
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.result_cache import Job, Note, ResultLog, no_note
+from smooth_operator.result_cache import Job, Note, no_note
 from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.retargeter import Retargeter
@@ -29,6 +29,7 @@ from smooth_operator_research.virtual_operator.trial import Familiar
 from smooth_operator_study.chunks import chunk_values
 from smooth_operator_study.design.plan import Block, Plan, lot, make_plan, scaled
 from smooth_operator_study.design.plan_file import plan_table
+from smooth_operator_study.result_log import ResultLog
 from smooth_operator_study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 
 MOST_OPERATORS: Final = 1000
