@@ -36,7 +36,6 @@ from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import (
     ShardedWriter,
-    close_quietly,
     drop_parquet,
     hidden,
     publish,
@@ -254,19 +253,21 @@ class _Writer(ShardedWriter):
         fixed["joints"] = {side: list(names) for side, names in options.joints.items()}
         super().__init__(output, options, "lerobot", FILE_MB, fixed)
 
-    def _path(self, template: str, number: int) -> Path:
+    def _filled(self, template: str, number: int) -> Path:
         chunk, file = divmod(number, FILES_A_CHUNK)
-        return self.output / template.format(chunk_index=chunk, file_index=file)
+        return self.output / template.format(
+            video_key=VIDEO_KEY, chunk_index=chunk, file_index=file
+        )
+
+    def _path(self, number: int) -> Path:
+        return self._filled(DATA_PATH, number)
 
     def _video_path(self, number: int) -> Path:
-        return self._path(VIDEO_PATH.replace("{video_key}", VIDEO_KEY), number)
+        return self._filled(VIDEO_PATH, number)
 
     # One shard.
 
-    def _begin(self, number: int) -> None:
-        path = self._path(DATA_PATH, number)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file: IO[bytes] = hidden(path).open("wb")
+    def _start(self) -> None:
         self._parquet: Any = None
         self._rows: list[dict[str, Any]] = []
         self._statistics: list[dict[str, Statistics]] = []
@@ -352,27 +353,21 @@ class _Writer(ShardedWriter):
             )
         self._parquet.write_table(table, row_group_size=table.num_rows)
 
-    def _size(self) -> int:
-        return self._file.tell()
-
-    def _end(self, number: int) -> dict[str, Any]:
+    def _complete(self) -> dict[str, Any]:
         assert self._layout is not None
         self._parquet.close()
-        self._file.close()
-        data, episodes = self._path(DATA_PATH, number), self._path(EPISODES_PATH, number)
+        episodes = self._filled(EPISODES_PATH, self._number)
         episodes.parent.mkdir(parents=True, exist_ok=True)
-        chunk, file = divmod(number, FILES_A_CHUNK)
+        chunk, file = divmod(self._number, FILES_A_CHUNK)
         table = episodes_table(self._rows, self._statistics, chunk=chunk, file=file)
         with hidden(episodes).open("wb") as stream:
             parquet().write_table(table, stream)
-        publish(data)
         publish(episodes)
         together = {
             name: joint_statistics([each[name] for each in self._statistics])
             for name in self._statistics[0]
         }
         return {
-            "shard": data.relative_to(self.output).as_posix(),
             "frames": self._shard_frames,
             "tasks": self._new_tasks,
             "videos": self._new_videos,
@@ -380,10 +375,8 @@ class _Writer(ShardedWriter):
             "statistics": {name: part.to_json() for name, part in together.items()},
         }
 
-    def _drop(self) -> None:
+    def _discard(self) -> None:
         drop_parquet(self._parquet)
-        close_quietly(self._file)
-        remove(hidden(self._path(DATA_PATH, self._number)))
         for task in self._new_tasks:
             del self._tasks[task]
         for video in self._new_videos:
@@ -392,8 +385,8 @@ class _Writer(ShardedWriter):
             self._layout = None
 
     def _clean(self, number: int) -> None:
-        remove(self._path(DATA_PATH, number))
-        remove(self._path(EPISODES_PATH, number))
+        super()._clean(number)
+        remove(self._filled(EPISODES_PATH, number))
         left = len(self._videos)
         while self._video_path(left).exists() or self._video_path(left).is_symlink():
             remove(self._video_path(left))

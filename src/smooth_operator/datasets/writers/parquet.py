@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,15 +20,7 @@ from smooth_operator.datasets.writers.arrays import (
     resampled,
 )
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
-from smooth_operator.datasets.writers.shards import (
-    MB,
-    ShardedWriter,
-    close_quietly,
-    drop_parquet,
-    hidden,
-    publish,
-    remove,
-)
+from smooth_operator.datasets.writers.shards import MB, ShardedWriter, drop_parquet
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import require
 from smooth_operator.formats.clip import SIDES
@@ -63,15 +55,12 @@ class _Writer(ShardedWriter):
     def _path(self, number: int) -> Path:
         return self.output / "data" / f"{self.shard_name(number)}.parquet"
 
-    def _begin(self, number: int) -> None:
+    def _start(self) -> None:
         pa = arrow()
-        path = self._path(number)
-        path.parent.mkdir(exist_ok=True)
         fields = [
             pa.field(name, kind, metadata=_about(name)) for name, (kind, _) in self._columns.items()
         ]
         metadata = {"smooth_operator": to_json({"format": "clips", "version": 1})}
-        self._file: IO[bytes] = hidden(path).open("wb")
         self._rows: list[tuple[dict[str, Any], dict[str, np.ndarray]]] = []
         self._bytes = 0
         # Numbers of a movement hardly repeat, and pack better byte by byte than in a dictionary.
@@ -102,24 +91,13 @@ class _Writer(ShardedWriter):
             self._parquet.write_table(table, row_group_size=len(self._rows))
         self._rows, self._bytes = [], 0
 
-    def _size(self) -> int:
-        return self._file.tell()
-
-    def _end(self, number: int) -> dict[str, Any]:
+    def _complete(self) -> dict[str, Any]:
         self._flush()
         self._parquet.close()
-        self._file.close()
-        path = self._path(number)
-        publish(path)
-        return {"shard": path.relative_to(self.output).as_posix()}
+        return {}
 
-    def _drop(self) -> None:
+    def _discard(self) -> None:
         drop_parquet(self._parquet)
-        close_quietly(self._file)
-        remove(hidden(self._path(self._number)))
-
-    def _clean(self, number: int) -> None:
-        remove(self._path(number))
 
 
 _Rows = list[tuple[dict[str, Any], dict[str, np.ndarray]]]

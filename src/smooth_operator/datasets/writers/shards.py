@@ -103,8 +103,12 @@ class ShardedWriter(ABC):
     # Methods of a format.
 
     @abstractmethod
-    def _begin(self, number: int) -> None:
-        """Starts a shard under a hidden name."""
+    def _path(self, number: int) -> Path:
+        """Path of a shard."""
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Prepares the shard in ``_file``, which is empty."""
 
     @abstractmethod
     def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
@@ -112,20 +116,11 @@ class ShardedWriter(ABC):
         the clip does not fit the format; no part of it was written."""
 
     @abstractmethod
-    def _size(self) -> int:
-        """Current size of the shard [bytes]."""
+    def _complete(self) -> dict[str, Any]:
+        """Writes the rest of the shard to ``_file``; returns further content of its index."""
 
-    @abstractmethod
-    def _end(self, number: int) -> dict[str, Any]:
-        """Completes the shard; returns further content of its index."""
-
-    @abstractmethod
-    def _drop(self) -> None:
-        """Removes the incomplete shard."""
-
-    @abstractmethod
-    def _clean(self, number: int) -> None:
-        """Removes leftovers of a killed process: hidden files, and this shard without an index."""
+    def _discard(self) -> None:  # noqa: B027 - most need nothing
+        """Releases what ``_start`` opened for a shard that is removed."""
 
     def _resume(self, index: Mapping[str, Any]) -> None:  # noqa: B027 - most need nothing
         """Counts a complete shard of this part; called for each such shard in turn."""
@@ -134,6 +129,36 @@ class ShardedWriter(ABC):
         """Writes the description of all shards; called after each shard."""
 
     # Common methods.
+
+    def _begin(self, number: int) -> None:
+        """Starts a shard under a hidden name."""
+        path = self._path(number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file: IO[bytes] = hidden(path).open("wb")
+        self._start()
+
+    def _size(self) -> int:
+        """Current size of the shard [bytes]."""
+        return self._file.tell()
+
+    def _end(self, number: int) -> dict[str, Any]:
+        """Completes the shard; returns further content of its index."""
+        path = self._path(number)
+        extra = self._complete()
+        self._file.close()
+        publish(path)
+        return {"shard": path.relative_to(self.output).as_posix(), **extra}
+
+    def _drop(self) -> None:
+        """Removes the incomplete shard."""
+        self._discard()
+        with contextlib.suppress(OSError):  # its last bytes may not fit on the disk
+            self._file.close()
+        remove(hidden(self._path(self._number)))
+
+    def _clean(self, number: int) -> None:
+        """Removes leftovers of a killed process: hidden files, and this shard without an index."""
+        remove(self._path(number))
 
     @property
     def written(self) -> Collection[str]:
@@ -353,12 +378,6 @@ def remove(path: Path) -> None:
             each.unlink()
 
 
-def close_quietly(file: IO[bytes]) -> None:
-    """Closes an abandoned file; ignores errors, since its last bytes may not fit on the disk."""
-    with contextlib.suppress(OSError):
-        file.close()
-
-
 def drop_parquet(writer: Any) -> None:
     """Abandons an incomplete Parquet file."""
     if writer is not None:
@@ -372,14 +391,10 @@ class TarShards(ShardedWriter):
 
     folder = "shards"
 
-    def path(self, number: int) -> Path:
-        """Path of a shard."""
+    def _path(self, number: int) -> Path:
         return self.output / self.folder / f"{self.shard_name(number)}.tar"
 
-    def _begin(self, number: int) -> None:
-        path = self.path(number)
-        path.parent.mkdir(exist_ok=True)
-        self._file: IO[bytes] = hidden(path).open("wb")
+    def _start(self) -> None:
         self._tar = tarfile.TarFile(fileobj=self._file, mode="w", format=tarfile.PAX_FORMAT)
 
     def add_file(self, name: str, content: bytes) -> None:
@@ -388,22 +403,9 @@ class TarShards(ShardedWriter):
         header.size, header.mode = len(content), 0o644
         self._tar.addfile(header, io.BytesIO(content))
 
-    def _size(self) -> int:
-        return self._file.tell()
-
-    def _end(self, number: int) -> dict[str, Any]:
-        path = self.path(number)
+    def _complete(self) -> dict[str, Any]:
         self._tar.close()
-        self._file.close()
-        publish(path)
-        return {"shard": path.relative_to(self.output).as_posix()}
-
-    def _drop(self) -> None:
-        close_quietly(self._file)
-        remove(hidden(self.path(self._number)))
-
-    def _clean(self, number: int) -> None:
-        remove(self.path(number))
+        return {}
 
 
 def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
