@@ -4,6 +4,7 @@ Words in names are weak evidence. Only generic words count, not those of a produ
 
 from __future__ import annotations
 
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
@@ -23,7 +24,6 @@ from smooth_operator.hand_discovery.model_limits import check_model_limits
 from smooth_operator.hands.loading import load_model, merged_couplings
 from smooth_operator.hands.model_assets import read_model_files, read_model_xml
 from smooth_operator.hands.spec import Coupling, Point
-from smooth_operator.io.plain_files import is_folder
 from smooth_operator.types import Side
 
 _FINGER_WORDS: Final[dict[str, tuple[str, ...]]] = {
@@ -389,7 +389,7 @@ def read_skeleton(
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    if is_folder(path):
+    if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         inside = sorted(p.name for p in path.iterdir() if p.suffix in (".urdf", ".xml"))
         raise HandModelError(
             f"{path} is a folder; name the model file in it"

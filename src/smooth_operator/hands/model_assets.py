@@ -21,7 +21,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from smooth_operator.errors import DocumentError, HandModelError, brief
-from smooth_operator.io.plain_files import check_plain_file, is_file
+from smooth_operator.io.plain_files import check_plain_file
 
 MOST_NAMES: Final = 2_000
 """Largest number of different files that a model names."""
@@ -260,7 +260,7 @@ _MARKS: Final = {
 
 def read_model_xml(path: Path) -> ElementTree.Element:
     """The root element of a model file; HandModelError if it can't be read, or is no model."""
-    if not is_file(path):
+    if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
         raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
     try:
         size = path.stat().st_size

@@ -19,7 +19,6 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import MODELS
 from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.io.plain_files import is_file
 from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
 from smooth_operator.user_folders import program_folder
@@ -96,7 +95,7 @@ class HandEntry:
                 f"{self.files[own]} describes the {spec.side} hand {spec.name!r}, but its "
                 f"file name says the {own} hand {self.name!r}"
             )
-        if not is_file(spec.model):
+        if not os.path.isfile(spec.model):  # False for a name that is too long, too
             raise HandModelError(
                 f"the model of hand {self.name!r} is no longer at {spec.model}; if it was "
                 f"moved: smooth-operator hands add NEWPATH --name {self.name} --side {own} "

@@ -62,19 +62,3 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
 def too_deep() -> DocumentError:
     """Creates the error for a text with more than ``MOST_LEVELS`` levels."""
     return DocumentError(f"it has more than {MOST_LEVELS} levels of lists and tables")
-
-
-def is_folder(path: Path) -> bool:
-    """True if the folder exists; False if not, or if its name is not valid."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
-def is_file(path: Path) -> bool:
-    """True if the file exists; False if not, or if its name is not valid."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
