@@ -3,8 +3,9 @@
 ``damaged_bytes``, ``damaged_text``, ``damaged_json``, ``damaged_table`` (TOML, CSV and XML, by
 lines), ``damaged_xml``, ``damaged_npy`` and ``damaged_npz`` take the bytes of a good file and give
 a strategy of damaged ones. ``each`` calls a function with some of them, always the same, and
-shrinks one that fails. ``ReaderProcess`` calls a reader, named as ``module:function``, on a file in
-another process with limits and says what came of it::
+shrinks one that fails; ``outcomes`` tells what a reader makes of them. ``ReaderProcess`` calls a
+reader, named as ``module:function``, on a file in another process with limits and says what came of
+it::
 
     with ReaderProcess() as reader:
         verdict = reader.read("smooth_operator.hands.spec_file:read_hand_spec", path)
@@ -32,9 +33,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
+
+from smooth_operator.errors import SmoothOperatorError
 
 Damaged = Callable[[bytes], SearchStrategy[bytes]]
 """A good file to a strategy of damaged ones."""
@@ -94,6 +98,39 @@ def each(mutants: SearchStrategy[Any], count: int, use: Callable[[Any], None]) -
         use(mutant)
 
     test()
+
+
+def outcomes(
+    mutants: SearchStrategy[Any], count: int, read: Callable[[Any], Any]
+) -> tuple[list[str], list[Any]]:
+    """What a function makes of mutants: messages of this program's errors, and what it returns.
+
+    Any other error is raised.
+    """
+    refused: list[str] = []
+    found: list[Any] = []
+
+    def use(mutant: Any) -> None:
+        try:
+            found.append(read(mutant))
+        except SmoothOperatorError as error:
+            assert 0 < len(str(error)) < LONGEST_MESSAGE  # noqa: PT017
+            refused.append(str(error))
+
+    with np.errstate(all="ignore"):
+        each(mutants, count, use)
+    return refused, found
+
+
+def recording_at(path: Path) -> Callable[[bytes], Any]:
+    """Reads what it is given as the file of a recording."""
+    from smooth_operator import read_recording
+
+    def read(mutant: bytes) -> Any:
+        path.write_bytes(mutant)
+        return read_recording(path, side=None if path.suffix in (".jsonl", ".hts") else "right")
+
+    return read
 
 
 def _places(size: int) -> SearchStrategy[int]:

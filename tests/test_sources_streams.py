@@ -161,22 +161,14 @@ def test_no_message_can_raise_anything_else():
     seeds = [text(stamp=1.0, valid=[True] * 21), glove_text(), csv(), ros_text(), *forms]
     mutants = [fuzzing.damaged_bytes(seed) for seed in seeds]
     mutants += [fuzzing.damaged_json(seed) for seed in forms]
-    refused = []
-
-    def use(data: bytes) -> None:
-        for reader in (
-            lambda: read_payload(data, side="right", received=0.0),
-            lambda: read_manus(data, gloves={}, side="right", received=0.0),
-        ):
-            try:
-                for reading in reader():
-                    assert np.isfinite(reading.frame.landmarks[reading.frame.valid]).all()
-            except RecordingError as error:
-                refused.append(str(error))
-
-    fuzzing.each(st.one_of(*mutants), 250, use)
-    assert len(refused) > 250  # each reader refuses the other's messages, too
-    assert all(0 < len(words) < 1500 for words in refused)
+    for reader in (
+        lambda data: read_payload(data, side="right", received=0.0),
+        lambda data: read_manus(data, gloves={}, side="right", received=0.0),
+    ):
+        refused, found = fuzzing.outcomes(st.one_of(*mutants), 150, reader)
+        assert len(refused) > 50  # the other's messages, too
+        for frame in (reading.frame for readings in found for reading in readings):
+            assert np.isfinite(frame.landmarks[frame.valid]).all()
 
 
 def node(i: int, *, key: str = "id") -> dict[str, Any]:
