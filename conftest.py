@@ -32,8 +32,8 @@ _HOMES = (
     "APPDATA",
     "LOCALAPPDATA",
 )
-_ALLOWED = (_MARK,)
-"""Variables of this program that a run passes on to its own workers."""
+_ALLOWED = (_MARK, "SMOOTH_OPERATOR_CACHE")
+"""Variables of this program that a run has from outside: folder of traced programs."""
 
 
 HOME = Path(__file__).resolve().parent

@@ -220,10 +220,13 @@ class Simulated(Rig):
 
     wrong = "short"
     """Kind of its wrong answers."""
+    switches = False
+    """True for a hand that can switch its torque off."""
 
     def simulate(self, hand: Any) -> None:
         """Take a simulated hand as that of the rig."""
         self.hand, self.sent = hand, []
+        self.served = contextlib.ExitStack()
         hand.faults = SimulatedFaults(self.wrong)
         self._looks: list[Callable[[np.ndarray, np.ndarray], None]] = []
         self.watch(hand)
@@ -258,6 +261,15 @@ class Simulated(Rig):
     def targets(self) -> int:
         return len(self.sent)
 
+    def powered(self) -> bool | None:
+        return bool(self.hand.motors.powered.all()) if self.switches else None
+
+    def restart(self) -> None:
+        self.hand.reboot()
+
+    def close(self) -> None:
+        self.served.close()
+
     def stick(self, motor: int) -> None:
         self.hand.motors.stuck.add(motor)
 
@@ -290,8 +302,8 @@ class InspireTouch(Simulated):
     def start(self) -> None:
         from simulators.inspire_touch import InspireTouchHand
 
-        self._served = contextlib.ExitStack()
-        self.simulate(self._served.enter_context(InspireTouchHand()))
+        self.simulate(InspireTouchHand())
+        self.served.enter_context(self.hand)
         self.hand.transaction_shift = 1
         table = self.on_another_hand("inspire_ftp", "inspire_hand")
         self.sink = f"inspire:127.0.0.1:{self.hand.address[1]},table={table}"
@@ -299,15 +311,9 @@ class InspireTouch(Simulated):
     def limits(self) -> list[float]:
         return [self.hand.word(start + 2 * k) for start in (1498, 1522) for k in range(6)]
 
-    def restart(self) -> None:
-        self.hand.reboot()
-
     def lose(self) -> None:
         super().lose()
         self.hand.hang_up()
-
-    def close(self) -> None:
-        self._served.close()
 
 
 class Linker(Simulated):
@@ -320,8 +326,7 @@ class Linker(Simulated):
 
         self.channel = f"linker-{next(_channels)}-{os.getpid()}"
         self.simulate(LinkerHand(self.name, "right"))
-        self._served = contextlib.ExitStack()
-        self._served.enter_context(serve_can(self.hand, can.Bus(self.channel, interface="virtual")))
+        self.served.enter_context(serve_can(self.hand, can.Bus(self.channel, interface="virtual")))
         self.sink = f"linker:virtual:{self.channel},model={self.model}"
         if self.stand_in:
             table = self.on_another_hand(f"linker_{self.model}", self.stand_in)
@@ -329,12 +334,6 @@ class Linker(Simulated):
 
     def limits(self) -> list[float]:
         return [*self.hand.speeds, *self.hand.torques]
-
-    def restart(self) -> None:
-        self.hand.reboot()
-
-    def close(self) -> None:
-        self._served.close()
 
 
 class LinkerL10(Linker):
@@ -349,17 +348,31 @@ class LinkerL21(Linker):
     model, name, stand_in = "l21", "L21", "tesollo_dg5f"
 
 
-class Feetech(Simulated):
+class OnALine(Simulated):
+    """A simulated hand on a serial line."""
+
+    def serve(self, hand: Any, **settings: object) -> None:
+        """Put a hand on a line, for a sink with these settings."""
+        self.simulate(hand)
+        self.line = self.served.enter_context(SerialLine(hand))
+        words = [f"{self.driver}:{self.line.port}", *(f"{k}={v}" for k, v in settings.items())]
+        self.sink = ",".join(words)
+
+    def lose(self) -> None:
+        self.line.unplug()
+
+    def back(self) -> None:
+        self.line.plug()
+
+
+class Feetech(OnALine):
     driver, library, wrong, prefix = "feetech", "serial", "checksum", False
     model, goal, unit_name, stand_in = "sts3215", 2048, "step", "leap_hand"
 
     def start(self) -> None:
-        from simulators.common import SerialLine
         from simulators.feetech_bus import FeetechBus
 
         joints = load_hand(self.stand_in, side="right").actuated_names
-        self.simulate(FeetechBus({k + 1: self.model for k in range(len(joints))}))
-        self.line = SerialLine(self.hand)
         table = self.folder / "feetech.toml"
         table.write_text(
             f'format = 1\ndriver = "feetech"\nhand = "{self.stand_in}"\nside = "right"\n'
@@ -371,7 +384,7 @@ class Feetech(Simulated):
                 for k, joint in enumerate(joints)
             )
         )
-        self.sink = f"feetech:{self.line.port},table={table}"
+        self.serve(FeetechBus({k + 1: self.model for k in range(len(joints))}), table=table)
 
     def watch(self, hand: Any) -> None:
         """Take note of every goal; switching the torque also sets targets of the motors."""
@@ -395,48 +408,12 @@ class Feetech(Simulated):
     def limits(self) -> list[float]:
         return [servo.word(48) for servo in self.hand.servos.values()]
 
-    def restart(self) -> None:
-        self.hand.reboot()
-
-    def lose(self) -> None:
-        self.line.unplug()
-
-    def back(self) -> None:
-        self.line.plug()
-
-    def close(self) -> None:
-        self.line.close()
-
 
 class FeetechScs(Feetech):
     model, goal, unit_name, stand_in = "scs0009", 511, "scs_step", "inspire_hand"
 
     def limits(self) -> list[float]:
         return []
-
-
-class OnALine(Simulated):
-    """A simulated hand on a serial line."""
-
-    def serve(self, hand: Any, **settings: str) -> None:
-        """Put a hand on a line, for a sink with these settings."""
-        self.simulate(hand)
-        self.line = SerialLine(hand)
-        self.sink = ",".join(
-            [f"{self.driver}:{self.line.port}", *(f"{k}={v}" for k, v in settings.items())]
-        )
-
-    def restart(self) -> None:
-        self.hand.reboot()
-
-    def lose(self) -> None:
-        self.line.unplug()
-
-    def back(self) -> None:
-        self.line.plug()
-
-    def close(self) -> None:
-        self.line.close()
 
 
 class Rohand(OnALine):
@@ -471,6 +448,7 @@ class Aero(OnALine):
 
 
 class Dex3(Simulated):
+    switches = True
     driver, library, unit = "dex3", "cyclonedds", 0.01
     waits = ("_TIMEOUT", "_FINDING_S")
 
@@ -480,14 +458,8 @@ class Dex3(Simulated):
         self.monkeypatch.setenv("CYCLONEDDS_URI", ON_LOOPBACK)
         domain = 100 + os.getpid() % 100
         self.simulate(Dex3Hand("right", domain=domain))
-        self.hand.__enter__()
+        self.served.enter_context(self.hand)
         self.sink = f"dex3:side=right,domain={domain}"
-
-    def powered(self) -> bool:
-        return bool(self.hand.motors.powered.all())
-
-    def close(self) -> None:
-        self.hand.__exit__()
 
 
 ON_LOOPBACK: Final = """<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface
@@ -509,11 +481,9 @@ class XHand(Simulated):
             self.monkeypatch.setitem(sys.modules, name, module)
         self.sink = f"xhand:{port},table={self.on_another_hand('xhand', 'tesollo_dg5f')}"
 
-    def close(self) -> None:
-        """There is nothing to close."""
-
 
 class DexHand021(Simulated):
+    switches = True
     driver, library, unit = "dexhand021", "can", 0.3
 
     def start(self) -> None:
@@ -522,19 +492,13 @@ class DexHand021(Simulated):
 
         channel = f"dexhand-{next(_channels)}-{os.getpid()}"
         self.simulate(SimulatedDexHand("right"))
-        self._served = contextlib.ExitStack()
-        self._served.enter_context(serve_can(self.hand, can.Bus(channel, interface="virtual")))
+        self.served.enter_context(serve_can(self.hand, can.Bus(channel, interface="virtual")))
         table = self.on_another_hand("dexhand021", "tesollo_dg5f")
         self.sink = f"dexhand021:virtual:{channel},table={table}"
 
-    def powered(self) -> bool:
-        return bool(self.hand.motors.powered.all())
-
-    def close(self) -> None:
-        self._served.close()
-
 
 class Wuji2(Simulated):
+    switches = True
     driver, unit, wrong = "wuji2", 0.01, "missing"
     reports = True  # a joint that is missing in a frame has no position
 
@@ -546,17 +510,11 @@ class Wuji2(Simulated):
         self.monkeypatch.setitem(sys.modules, "wuji_sdk", wuji_modules(self.hand)["wuji_sdk"])
         self.sink = f"wuji2:{self.hand.sn},table={self.on_another_hand('wuji2', 'wuji_hand')}"
 
-    def powered(self) -> bool:
-        return bool(self.hand.motors.powered.all())
-
     def limits(self) -> list[float]:
         return list(self.hand.effort_limits)
 
     def restart(self) -> None:
         self.hand.effort_limits = [1.5] * 20
-
-    def close(self) -> None:
-        """There is nothing to close."""
 
 
 class Revo3(Simulated):
@@ -574,9 +532,6 @@ class Revo3(Simulated):
 
     def powered(self) -> bool:
         return bool(self.hand.sent) and bool(self.hand.motors.powered.all())
-
-    def close(self) -> None:
-        """There is nothing to close."""
 
 
 class Allegro(Rig):
