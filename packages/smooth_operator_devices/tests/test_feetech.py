@@ -82,11 +82,25 @@ def bank(request, tmp_path) -> Iterator[Callable[..., Bank]]:
         each.line.close()
 
 
+@pytest.fixture
+def opened(bank) -> Iterator[Callable[[str], tuple[Bank, FeetechHand]]]:
+    """Three servos, and their device, which is open."""
+    devices: list[FeetechHand] = []
+
+    def make(model: str) -> tuple[Bank, FeetechHand]:
+        simulated = bank(model)
+        devices.append(simulated.device())
+        devices[-1].open()
+        return simulated, devices[-1]
+
+    yield make
+    for device in devices:
+        device.close()
+
+
 @pytest.mark.parametrize("model", MODELS)
-def test_words_have_the_byte_order_of_the_series(bank, model):
-    simulated = bank(model)
-    device = simulated.device()
-    device.open()
+def test_words_have_the_byte_order_of_the_series(opened, model):
+    simulated, device = opened(model)
     device.write(device.read().positions)
     device.write(np.array([300.0, 600.0, 601.4]))
     device.read()  # the line has taken the goals then
@@ -95,7 +109,6 @@ def test_words_have_the_byte_order_of_the_series(bank, model):
     goals = [n.to_bytes(2, order) for n in (300, 600, 601)]
     assert sent == bytes([42, 2, 1]) + goals[0] + b"\x02" + goals[1] + b"\x07" + goals[2]
     until(lambda: device.read().positions.tolist() == [300.0, 600.0, 601.0])
-    device.close()
 
 
 @pytest.mark.parametrize(
@@ -131,10 +144,8 @@ def test_the_first_goals_are_the_positions_and_come_before_the_torque(bank, mode
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_loads_temperatures_and_errors_are_read(bank, model):
-    simulated = bank(model)
-    device = simulated.device()
-    device.open()
+def test_loads_temperatures_and_errors_are_read(opened, model):
+    simulated, device = opened(model)
     device.write(device.read().positions)
     motors = simulated.bus.motors
     motors.temperatures[:] = 31, 32, 71
@@ -148,14 +159,11 @@ def test_loads_temperatures_and_errors_are_read(bank, model):
     reading = device.read()
     assert reading.errors == ("middle: overload", "ring: too hot")
     assert reading.currents[1] == -20.0  # its protective torque
-    device.close()
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_an_overloaded_servo_keeps_its_protection_until_it_gets_another_goal(bank, model):
-    simulated = bank(model)
-    device = simulated.device()
-    device.open()
+def test_an_overloaded_servo_keeps_its_protection_until_it_gets_another_goal(opened, model):
+    simulated, device = opened(model)
     device.write(device.read().positions)
     simulated.bus.motors.stuck.add(1)
     goals = np.full(3, simulated.middle - 90.0)
@@ -171,14 +179,11 @@ def test_an_overloaded_servo_keeps_its_protection_until_it_gets_another_goal(ban
     assert simulated.bus.servos[2].error == 32
     device.write(goals + 30.0)
     assert device.read().errors == ()
-    device.close()
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_restart_is_noticed_by_the_torque_that_is_off(bank, model):
-    simulated = bank(model)
-    device = simulated.device()
-    device.open()
+def test_a_restart_is_noticed_by_the_torque_that_is_off(opened, model):
+    simulated, device = opened(model)
     device.write(device.read().positions)
     before = {s.name: s.measured.tolist() for s in device.settings()}
     simulated.bus.reboot()
@@ -186,22 +191,18 @@ def test_a_restart_is_noticed_by_the_torque_that_is_off(bank, model):
     assert (before["torque"], after["torque"]) == ([1] * 3, [0] * 3)
     if simulated.sts:
         assert (before["torque limit"], after["torque limit"]) == ([600] * 3, [1000] * 3)
-    device.close()
 
 
 @pytest.mark.parametrize("kind", ["checksum", "identifier", "short"])
 @pytest.mark.parametrize("model", MODELS)
-def test_one_wrong_answer_is_an_error_and_the_next_one_is_read(bank, model, kind, monkeypatch):
-    simulated = bank(model)
-    device = simulated.device()
-    device.open()
+def test_one_wrong_answer_is_an_error_and_the_next_one_is_read(opened, model, kind, monkeypatch):
+    simulated, device = opened(model)
     device._bus._answer_s = 0.1
     simulated.bus.faults.answer_wrongly(kind)
     with pytest.raises(WrongAnswerError, match=r"no valid answer from servo 1 \(index\)"):
         device.read()
     device._bus._answer_s = 1.0
     assert device.read().positions.tolist() == [simulated.middle] * 3
-    device.close()
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -28,7 +28,8 @@ from smooth_operator_study.store.events import QuestionnaireAnswered
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_study.store.study_store import open_study
 
-TRIALS = 6
+TRIALS, MIDDLE, RESET = 4, 2, 3
+"""Trials of a block: all, the one at its middle, and the one that has a reset."""
 LINES = ("done", "nearly", "failed")
 
 
@@ -57,18 +58,18 @@ def test_a_block_while_the_server_is_killed(chromium, tmp_path):
         pages.press(" ", "space")
         pages.step("Free movement")
         pages.press(" ", "space")  # ends by itself
-        points = {1: "initial", 3: "midpoint", TRIALS: "final"}
+        points = {1: "initial", MIDDLE: "midpoint", TRIALS: "final"}
         for trial in range(1, TRIALS + 1):
             pages.step(f"Trial {trial} of {TRIALS}")
             pages.press(" ", "space")
             page.locator('[data-key="stop"]:enabled').wait_for()
             assert "undefined" not in page.locator("#step").inner_text()
-            if trial == 4:
+            if trial == RESET:
                 pages.press("r", "r")
                 page.get_by_role("button", name="done as told").and_(
                     page.locator(":disabled")
                 ).wait_for()
-            if trial == 3:  # killed while the trial runs; scored while there is no server
+            if trial == MIDDLE:  # killed while the trial runs; scored while there is no server
                 console.kill()
                 pages.cut_off()
                 page.keyboard.press(" ")
@@ -80,7 +81,7 @@ def test_a_block_while_the_server_is_killed(chromium, tmp_path):
                 page.goto(f"http://127.0.0.1:{console.port}/")
                 pages.back()
             else:
-                key = str(1 + trial % 3) if trial != 4 else "2"
+                key = str(1 + trial % 3) if trial != RESET else "2"
                 pages.press(key, key)
             if trial not in points:
                 continue
@@ -88,7 +89,7 @@ def test_a_block_while_the_server_is_killed(chromium, tmp_path):
             operator.get_by_role("heading", name="How was it?").wait_for()
             marks = ratings(trial)
             send = operator.get_by_role("button", name="Send my answers")
-            if trial == 3:  # killed with the questionnaire half filled in
+            if trial == MIDDLE:  # killed with the questionnaire half filled in
                 mark(operator, dict(list(marks.items())[:3]))
                 console.kill()
                 pages.cut_off()
@@ -167,21 +168,23 @@ def check_store(folder: Path) -> None:
             "questionnaire_answered": 3,
         }
         assert [t.number for t in progress.trials] == list(range(1, TRIALS + 1))
-        lines = [LINES[k % 3] if k != 4 else "nearly" for k in range(1, TRIALS + 1)]
+        lines = [LINES[k % 3] if k != RESET else "nearly" for k in range(1, TRIALS + 1)]
         assert [t.line for t in progress.trials] == lines
         assert all(t.time_s is not None and t.time_s > 0 for t in progress.trials)
         answered = progress.events(QuestionnaireAnswered)
         assert [(q.point, dict(q.ratings)) for _, q in answered] == [
             (point, ratings(trial))
-            for trial, point in ((1, "initial"), (3, "midpoint"), (TRIALS, "final"))
+            for trial, point in ((1, "initial"), (MIDDLE, "midpoint"), (TRIALS, "final"))
         ]
         assert set(ratings(1)) == set(SCALE_NAMES)
         # The trial ended when it was scored, not when the server was there again to hear of it.
-        third = progress.trials[2]
+        killed = progress.trials[MIDDLE - 1]
         scored = next(
-            r for r in progress.records if r.event.kind == "trial_scored" and r.event.trial == 3
+            r
+            for r in progress.records
+            if r.event.kind == "trial_scored" and r.event.trial == MIDDLE
         )
-        assert third.time_s < (scored.at - third.started).total_seconds()
+        assert killed.time_s < (scored.at - killed.started).total_seconds()
 
 
 @pytest.mark.browser

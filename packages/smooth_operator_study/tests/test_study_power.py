@@ -245,24 +245,9 @@ def test_study_power_refuses(tmp_path, arguments, says, capsys):
 
 def test_study_power_of_a_plan(tmp_path, capsys):
     folder = str(tmp_path / "mine")
-    assert (
-        main(
-            [
-                "study",
-                "new",
-                folder,
-                "--conditions",
-                "dexpilot",
-                "mine",
-                "--tasks",
-                "T:6",
-                "--operators",
-                "6",
-            ]
-        )
-        == 0
-    )
-    arguments = ["study", "power", folder, "--studies", "4", "--operators", "6", "--workers", "0"]
+    design = "--conditions dexpilot mine --tasks T:6 --operators 6"
+    assert main(["study", "new", folder, *design.split()]) == 0
+    arguments = ["study", "power", folder, "--studies", "2", "--operators", "6", "--workers", "0"]
     assert main(arguments) == 2
     assert "the expected success of mine is missing" in capsys.readouterr().err
     assumed = ["--success", "mine=0.8", "--time", "mine=20", "--workload", "mine=30"]
