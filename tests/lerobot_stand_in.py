@@ -112,6 +112,7 @@ def _modules() -> dict[str, ModuleType]:
         "lerobot.processor": {
             "ProcessorStepRegistry": Registry,
             "RobotActionProcessorStep": abc.ABC,
+            "TransitionKey": SimpleNamespace(OBSERVATION="observation"),
         },
         "lerobot.cameras": {"CameraConfig": CameraConfig},
         "lerobot.cameras.camera": {"Camera": camera},

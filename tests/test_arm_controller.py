@@ -14,11 +14,15 @@ from ticks import KeptTicks
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.simulation.arms.arm import (
     FLANGE,
     HandCapsules,
     HandMount,
     arm_spec,
+    matrix_of,
+    pose_of,
+    rigid,
 )
 from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
@@ -40,11 +44,18 @@ NAMES = tuple(ARMS)
 
 @cache
 def _mount(hand: str, arm: str, side: str = "right") -> HandMount:
-    return HandMount(load_hand(hand, side), roll=ARMS[arm].roll)
+    spec = ARMS[arm]
+    return HandMount(load_hand(hand, side), roll=spec.roll, built_on=spec.mount_of(hand))
+
+
+def _hand(arm: str, hand: str) -> str:
+    """The gripper that is built onto an arm, or else a hand."""
+    gripper = ARMS[arm].gripper
+    return hand if gripper is None else gripper[0]
 
 
 def _controller(arm: str, hand: str = "mimic_p050", **settings: float) -> ArmController:
-    return ArmController(ARMS[arm], _mount(hand, arm), **settings)
+    return ArmController(ARMS[arm], _mount(_hand(arm, hand), arm), **settings)
 
 
 def _flange(arm: str, q: list[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -96,6 +107,31 @@ def test_a_ur5e_turns_as_its_makers_own_table_says():
     expected = _standard_ur5e(q)
     np.testing.assert_allclose(place, expected[:3, 3], atol=1e-9)
     np.testing.assert_allclose(turn, expected[:3, :3], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("q", "expected"),
+    [
+        (
+            [0.0, 0.0, 0.0, 0.0, 0.0],
+            [0.3913615, -0.0000092, 0.2264697, 0.7069005, 0.0172065, 0.7068942, 0.0172136],
+        ),
+        (
+            [0.3, -0.4, 0.5, -0.6, 0.7],
+            [0.3141545, -0.0905455, 0.2938346, 0.7645941, -0.0891609, 0.5023287, -0.3938427],
+        ),
+    ],
+)
+def test_an_so101_and_its_gripper_are_those_of_its_makers_urdf(q, expected):
+    """Poses of ``gripper_frame_link``, computed with MuJoCo 4.0 from the file that the catalogue
+    names; that frame is fixed to ``gripper_link``, the palm of the gripper's model.
+    """
+    mount = _mount("so101", "so101")
+    place, turn = _flange("so101", q)
+    palm = rigid(turn, place) @ mount.flange_to_model @ mount.model_to_palm
+    between_jaws = (-0.0079, -0.000218121, -0.0981274)  # turned by pi about y, in the file
+    pose = pose_of(palm @ rigid(np.diag([-1.0, 1.0, -1.0]), between_jaws))
+    np.testing.assert_allclose(pose, expected, atol=1e-5)
 
 
 def test_an_unknown_arm_is_named_with_those_that_there_are():
@@ -171,7 +207,7 @@ def test_the_wrist_follows_and_comes_to_rest_without_overshoot(arm):
     assert places[-1] == pytest.approx(0.08, abs=1e-3)
 
 
-@pytest.mark.parametrize("arm", ["xarm7", "iiwa14"])
+@pytest.mark.parametrize("arm", ["xarm7", "iiwa14", "so101"])
 def test_a_target_out_of_reach_is_approached_and_the_arm_stands(arm):
     controller = _controller(arm)
     target = controller.wrist_at(controller.home)
@@ -181,6 +217,30 @@ def test_a_target_out_of_reach_is_approached_and_the_arm_stands(arm):
     assert errors[-1] < errors[0] - 0.1
     still = np.array([command.velocity for command in commands[-50:]])
     assert np.abs(still).max() < 0.02, "no oscillation at full reach"
+
+
+@pytest.mark.parametrize(
+    ("move", "turn", "rest"),
+    [  # five joints reach every pose in the plane of the arm, and other ones as far as they can
+        ((0.08, 0.0, 0.0), (0.0, 0.0, 0.0), 0.01),
+        ((0.0, 0.0, -0.06), (0.0, 0.0, 0.0), 0.01),
+        ((0.0, 0.0, 0.0), (0.0, 0.5, 0.0), 0.03),
+        ((0.0, 0.1, 0.0), (0.0, 0.0, 0.0), 0.25),
+        ((0.0, -0.1, 0.05), (0.3, 0.3, 0.0), 0.5),
+    ],
+)
+def test_five_joints_bring_the_jaws_to_their_place(move, turn, rest):
+    controller = _controller("so101")
+    jaws = controller.mount.wrist_to_pinch
+    home = matrix_of(controller.wrist_at(controller.home))
+    turned = matrix_of([0, 0, 0, *from_rotation_vectors(np.array(turn))])
+    goal = rigid(turned[:3, :3] @ home[:3, :3], home[:3, 3] + move)
+    for _ in range(300):
+        command = controller.step(pose_of(goal), STEP)
+    reached = matrix_of(command.pose) @ jaws
+    np.testing.assert_allclose(reached[:3, 3], (goal @ jaws)[:3, 3], atol=1e-3)
+    assert command.rotation_error < rest
+    assert np.abs(command.velocity).max() < 0.02
 
 
 def test_without_a_target_it_brakes_and_holds_and_a_stop_is_obeyed():
@@ -235,7 +295,8 @@ def test_a_home_pose_out_of_reach_is_refused(monkeypatch):
 
 
 def _carried(arm: str) -> Any:
-    return place_arms(ArmSettings(arm), {"right": load_hand("leap_hand")})["right"]
+    hand = load_hand(_hand(arm, "leap_hand"))
+    return place_arms(ArmSettings(arm), {"right": hand})["right"]
 
 
 @pytest.mark.parametrize("arm", ARMS)

@@ -284,6 +284,10 @@ def test_messages_that_cannot_be_read_are_left_out(session):
         ({"side": "up"}, "right, left or both"),
         ({"unit": "deg"}, "unit must be one of degrees, radians"),
         ({"wrist": "euler"}, "wrist must be one of"),
+        ({"gripper": "fist"}, "gripper must be pinch or hand, not 'fist'"),
+        ({"wrist": "delta", "joints": JOINTS}, "delta is for one hand, without joints"),
+        ({"wrist": "delta", "delta_step_m": 0.0}, "delta_step_m must be positive"),
+        ({"joints": {"i-mcp": "gripper"}, "gripper": "pinch"}, "gripper.pos is the key of"),
         ({"unit": "range_0_100", "joints": JOINTS}, "needs the model's angles at both ends"),
         ({"joints": {"a": "one", "b": "one"}}, "robot's key one.pos"),
         ({"joints": JOINTS, "signs": {"index_mcp": 2}}, "1 or -1"),
@@ -541,6 +545,7 @@ def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):
     wide = frames[0].copy()
     wide[4] = wide[8] + [0.0, 0.3, 0.0]
     openings = []
+    assert gripper.get_config() == {"prefix": "", "gripper": "pinch", "touch_m": 0.01}
     for points in (None, pinch, None, wide):
         action = gripper.action(step(points))
         assert action.keys() == rest | set(EE)
@@ -553,6 +558,130 @@ def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):
     without = {key: value for key, value in step(wide).items() if key not in POSE}
     with pytest.raises(ValueError, match=r"expected the keys tcp.x to tcp.qz .*wrist=quaternion"):
         gripper.action(without)
+
+
+def hand_of(opening: float, by: str = "pinch") -> np.ndarray:
+    """Landmarks [m] of a hand: finger pinched or closed (0) to open (1)."""
+    points = SyntheticOperator(seed=0).record(0.02).landmarks[0].copy()
+    if by == "pinch":
+        length = np.linalg.norm(np.diff(points[5:9], axis=0), axis=1).sum()
+        points[4] = points[8] + [0.0, 0.01 + opening * (length - 0.01), 0.0]
+        return points
+    for base in (5, 9, 13, 17):
+        lengths = np.linalg.norm(np.diff(points[base : base + 4], axis=0), axis=1)
+        bend = (1.0 - opening) * 1.6  # [rad] in each joint
+        angles = bend * np.arange(1, 4)
+        steps = lengths[:, None] * np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
+        points[base + 1 : base + 4] = points[base] + np.cumsum(steps, axis=0)
+    return points
+
+
+@pytest.mark.parametrize("by", ["pinch", "hand"])
+def test_a_gripper_follows_the_hand_and_not_its_noise(plugin, by):
+    gripper = sys.modules[f"{TELEOPERATOR}.gripper"].Gripper(by)
+    assert gripper.opening == 100.0
+    rng = np.random.default_rng(0)
+    closing = [gripper.follow(hand_of(x, by)) for x in np.linspace(1.0, 0.0, 200)]
+    assert (np.diff(closing) <= 0).all()
+    assert (closing[0], closing[-1]) == pytest.approx((100.0, 0.0))
+    opening = [gripper.follow(hand_of(x, by)) for x in np.linspace(0.0, 1.0, 200)]
+    assert (np.diff(opening) >= 0).all()
+    assert opening[-1] == pytest.approx(100.0)
+    assert max(np.array(opening[::-1]) - closing) == pytest.approx(0.0, abs=1e-9)
+    assert 5.0 < max(closing - np.array(opening[::-1])) < 25.0  # the hysteresis
+    half = [gripper.follow(hand_of(0.5, by)) for _ in range(2)]
+    noisy = [gripper.follow(hand_of(0.5, by) + rng.normal(0.0, 3e-4, (21, 3))) for _ in range(500)]
+    assert half[0] == half[1]
+    assert np.ptp(noisy[100:]) < 1.0  # of a tracker's noise of 0.3 mm
+    assert np.count_nonzero(np.diff(noisy[100:])) < 10
+    lost = hand_of(0.0, by)
+    lost[8] = np.nan
+    assert gripper.follow(lost) == noisy[-1]
+
+
+def test_an_end_effector_has_lerobots_keys(session):
+    now = session(wrist="ee")
+    half = math.sqrt(0.5)
+    now.wrist = {"pose": [0.3, 0.2, 0.1, half, 0, 0, half]}
+    assert set(now.device.action_features) == set(EE)  # before connect, and no joints of the hand
+    now.device.connect()
+
+    def act(**more: Any) -> dict[str, float]:
+        now.clock.now += 0.03
+        now.send(**more)
+        return now.device.get_action()
+
+    action = act(landmarks=hand_of(0.0).tolist())
+    assert action.keys() == set(EE)
+    np.testing.assert_allclose(
+        [action[k] for k in EE], [0.3, 0.2, 0.1, 0, 0, math.pi / 2, 0.0], atol=1e-9
+    )
+    # Paused, or without a hand, the gripper holds what it has.
+    assert act(landmarks=hand_of(1.0).tolist(), mode="paused")["ee.gripper_pos"] < 1e-9
+    assert act(landmarks=None)["ee.gripper_pos"] < 1e-9
+    assert act(landmarks=hand_of(1.0).tolist())["ee.gripper_pos"] == pytest.approx(100.0)
+    # DAgger hands over from the pose of a policy.
+    now.device.enable_torque()
+    policy = dict(zip(EE, [0.1, 0.0, 0.2, 0.0, 0.0, 0.0, 40.0], strict=True))
+    now.device.send_feedback(policy)
+    assert now.device.get_action() == pytest.approx(policy)
+    now.device.disable_torque()
+    assert act(landmarks=hand_of(1.0).tolist()) == pytest.approx(policy, abs=1e-9)
+
+
+def test_a_gripper_of_the_catalogue_follows_the_pinch(session):
+    now = session(hand="franka_hand", gripper="pinch")
+    assert now.device.action_features == {"gripper.pos": float}
+    now.names, now.angles = ["panda_finger_joint1"], [0.02]
+    now.device.connect()
+    for opening, expected in ((1.0, 100.0), (0.0, 0.0)):
+        now.clock.now += 0.03
+        now.send(landmarks=hand_of(opening).tolist())
+        assert now.device.get_action() == {"gripper.pos": pytest.approx(expected, abs=1e-9)}
+
+
+def test_deltas_add_up_to_the_motion(session):
+    now = session(wrist="delta", delta_step_m=0.02)
+    names = ("delta_x", "delta_y", "delta_z", "gripper")
+    described = {"dtype": "float32", "shape": (4,), "names": {n: i for i, n in enumerate(names)}}
+    assert now.device.action_features == described
+    pose = np.array([0.3, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0])
+    now.wrist = {"pose": pose.tolist()}
+    now.device.connect()
+    made = []
+    for number in range(40):
+        moved = pose.copy()
+        moved[:3] += [0.05, -0.03, 0.002] if number > 2 else 0.0
+        now.wrist = {"pose": moved.tolist()}
+        now.clock.now += 0.03
+        now.send(landmarks=hand_of(0.0 if number < 20 else 1.0).tolist())
+        action = now.device.get_action()
+        assert tuple(action) == (names[3], *names[:3])
+        made.append([action[name] for name in names])
+    steps = np.array(made)
+    assert np.abs(steps[:, :3]).max() == 1.0
+    np.testing.assert_allclose(0.02 * steps[:, :3].sum(axis=0), [0.05, -0.03, 0.002], atol=1e-12)
+    assert (steps[:3, :3] == 0.0).all()
+    assert (steps[5:, :3] == 0.0).any()
+    assert (steps[0, 3], steps[-1, 3]) == (0.0, 2.0)  # close, open
+
+
+def test_an_arm_has_lerobots_keys_and_units(session):
+    joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
+    keys = [f"{name}.pos" for name in (*joints, "gripper")]
+    now = session(arm="so101")
+    assert list(now.device.action_features) == keys
+    now.names, now.angles = ["gripper"], [0.593]
+    with pytest.raises(ValueError, match=r"shoulder_pan.*start teleop with --arm so101"):
+        now.device.connect()
+    send = now.send
+    arm = {"names": joints, "positions": [0.1, -0.2, 0.3, -0.4, 0.5]}
+    now.send = lambda **more: send(arm=arm, landmarks=hand_of(0.0).tolist(), **more)
+    now.device.connect()
+    action = now.device.get_action()
+    assert list(action) == keys
+    np.testing.assert_allclose(list(action.values())[:5], np.degrees(arm["positions"]))
+    assert action["gripper.pos"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
@@ -678,6 +807,65 @@ def test_hil_serl_takes_the_events(session):
     now = session(joints=JOINTS)
     now.device.connect()
     assert AddTeleopEventsAsInfoStep(now.device).info({})[TeleopEvents.IS_INTERVENTION]
+
+
+@pytest.mark.lerobot
+@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+def test_hil_serl_moves_the_arm_by_our_deltas(session):
+    """The steps of LeRobot's ``rl/gym_manipulator.py``, in its order; a solver that only adds."""
+    import torch
+    from lerobot.processor import TransitionKey, create_transition
+    from lerobot.processor import delta_action_processor as deltas
+    from lerobot.processor import hil_processor as hil
+    from lerobot.robots.so_follower import robot_kinematic_processor as arms
+
+    joints = [*(f"joint{number}" for number in range(5)), "gripper"]
+    seen = []
+
+    def forward(angles: np.ndarray) -> np.ndarray:
+        pose = np.eye(4)
+        pose[:3, 3] = [0.2, 0.0, 0.1]
+        return pose
+
+    def inverse(angles: np.ndarray, pose: np.ndarray, **_: Any) -> np.ndarray:
+        seen.append(pose[:3, 3].copy())
+        return np.zeros(6)
+
+    kinematics = SimpleNamespace(forward_kinematics=forward, inverse_kinematics=inverse)
+    now = session(wrist="delta", delta_step_m=0.02)
+    now.wrist = {"pose": [0.3, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]}
+    now.device.connect()
+    steps = [
+        hil.AddTeleopActionAsComplimentaryDataStep(now.device),
+        hil.AddTeleopEventsAsInfoStep(now.device),
+        hil.InterventionActionProcessorStep(use_gripper=True),
+        deltas.MapTensorToDeltaActionDictStep(),
+        deltas.MapDeltaActionToRobotActionStep(),
+        arms.EEReferenceAndDelta(
+            kinematics, {"x": 0.02, "y": 0.02, "z": 0.02}, joints, use_latched_reference=False
+        ),
+        arms.EEBoundsAndSafety({"min": [-1.0] * 3, "max": [1.0] * 3}),
+        arms.GripperVelocityToJoint(clip_max=30.0, speed_factor=1.0, discrete_gripper=True),
+        arms.InverseKinematicsEEToJoints(kinematics, joints),
+    ]
+
+    def act(opening: float, mode: str = "tracking") -> dict[str, float]:
+        now.clock.now += 0.03
+        now.send(mode=mode, landmarks=hand_of(opening).tolist())
+        transition = create_transition(
+            action=torch.tensor([0.0, 0.0, 1.0, 1.0]),  # the policy moves up, the gripper stays
+            observation={f"{name}.pos": 10.0 for name in joints},
+        )
+        for step in steps:
+            transition = step(transition)
+        return transition[TransitionKey.ACTION]
+
+    assert act(0.0)["gripper.pos"] == 30.0  # closed: LeRobot closes towards its maximum
+    now.wrist = {"pose": [0.31, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]}
+    assert act(1.0)["gripper.pos"] == 0.0
+    np.testing.assert_allclose(seen[-1], [0.21, 0.0, 0.1], atol=1e-6)
+    act(1.0, "paused")  # the policy has the arm again
+    np.testing.assert_allclose(seen[-1], [0.2, 0.0, 0.12], atol=1e-6)
 
 
 @pytest.mark.lerobot

@@ -1,6 +1,7 @@
-"""LeRobot teleoperator ``smooth_operator``, with which a tracked human hand drives a robot hand."""
+"""LeRobot teleoperator ``smooth_operator``, with which a tracked human hand drives a robot."""
 
 from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
+from lerobot_teleoperator_smooth_operator.end_effector import StartAtRobot
 from lerobot_teleoperator_smooth_operator.landmark_steps import (
     LandmarksToEndEffector,
     LandmarksToJoints,
@@ -12,4 +13,5 @@ __all__ = [
     "LandmarksToJoints",
     "SmoothOperator",
     "SmoothOperatorConfig",
+    "StartAtRobot",
 ]

@@ -23,19 +23,18 @@ from lerobot.configs.types import FeatureType, PipelineFeatureType, PolicyFeatur
 from lerobot.processor import ProcessorStepRegistry, RobotActionProcessorStep
 
 import smooth_operator
+from lerobot_teleoperator_smooth_operator.end_effector import EE_KEYS
+from lerobot_teleoperator_smooth_operator.gripper import Gripper
 from smooth_operator import poses
 from smooth_operator.episode_files.lerobot.human import LANDMARK_NAMES
 from smooth_operator.episode_files.lerobot.schema import pose_keys
-from smooth_operator.landmarks import index
 from smooth_operator.retargeting import ProgramStore
 from smooth_operator.types import as_side
 
 LANDMARK_KEYS = (*(f"landmarks.{name}" for name in LANDMARK_NAMES), "landmarks.valid")
 """Keys of the landmarks in an action, without the prefix of a side."""
 
-_EE_KEYS = ("ee.x", "ee.y", "ee.z", "ee.wx", "ee.wy", "ee.wz", "ee.gripper_pos")
-_INDEX = [index(f"index_{part}") for part in ("mcp", "pip", "dip", "tip")]
-_THUMB_TIP = index("thumb_tip")
+_EE_KEYS = (*EE_KEYS, "ee.gripper_pos")
 
 
 @dataclass
@@ -133,39 +132,36 @@ class LandmarksToJoints(_LandmarkStep):
 class LandmarksToEndEffector(_LandmarkStep):
     """Step that replaces wrist and landmarks by an end effector with a gripper.
 
-    The gripper is open (100) when thumb and index finger are the length of the index finger apart,
-    and closed (0) when they touch. Without a hand it keeps its last opening, first open.
+    Without a hand the gripper keeps its last opening, first open.
 
     Attributes:
+        gripper: what closes the gripper: ``pinch`` or ``hand``; see ``Gripper``.
         touch_m: distance of the landmarks of both fingertips when they touch [m].
     """
 
+    gripper: str = "pinch"
     touch_m: float = 0.01
 
     def __post_init__(self) -> None:
-        self._opening = 100.0
+        self._gripper = Gripper(self.gripper, self.touch_m)
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Replace the wrist's target and the landmarks."""
         landmarks = self._landmarks(action)
         pose = self._taken(action, pose_keys(), "wrist=quaternion")
         if landmarks is not None:
-            finger = landmarks[_INDEX]
-            length = float(np.linalg.norm(np.diff(finger, axis=0), axis=1).sum())
-            apart = float(np.linalg.norm(landmarks[_THUMB_TIP] - finger[-1]))
-            room = max(length - self.touch_m, self.touch_m)
-            self._opening = 100.0 * min(max((apart - self.touch_m) / room, 0.0), 1.0)
-        values = [*pose[:3], *poses.rotation_vectors(pose[3:]), self._opening]
+            self._gripper.follow(landmarks)
+        values = [*pose[:3], *poses.rotation_vectors(pose[3:]), self._gripper.opening]
         keys = [f"{self.prefix}{key}" for key in _EE_KEYS]
         return {**action, **dict(zip(keys, map(float, values), strict=True))}
 
     def reset(self) -> None:
         """Open the gripper."""
-        self._opening = 100.0
+        self._gripper.reset()
 
     def get_config(self) -> dict[str, Any]:
         """The settings, from which LeRobot makes the step again."""
-        return {"prefix": self.prefix, "touch_m": self.touch_m}
+        return {"prefix": self.prefix, "gripper": self.gripper, "touch_m": self.touch_m}
 
     def transform_features(self, features: Any) -> Any:
         """Replace the keys in the features of the action."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -92,6 +93,7 @@ class InProcess:
         hand: the robot hand.
         side: ``right``, ``left`` or ``both``.
         method: retargeting method; empty for the default.
+        arm: arm that carries the hand, as for ``--arm``; empty without an arm.
         wrist_joints: False if an arm follows the wrist, so that the hand's own wrist joints do not.
         operator: file of the operator's calibration, which the loop updates at its end; None for
             none.
@@ -108,6 +110,7 @@ class InProcess:
         hand: str,
         side: Any,
         method: str,
+        arm: str = "",
         wrist_joints: bool = True,
         operator: Path | None = None,
         bind: Sequence[str] = (),
@@ -130,6 +133,7 @@ class InProcess:
             hand=hand,
             side=side,
             method=method,
+            arm=arm or None,
             wrist_joints="auto" if wrist_joints else "off",
             methods=(method,),  # compiled before the first action
             operator=operator,
@@ -151,9 +155,11 @@ class InProcess:
 
         self._thread = threading.Thread(target=run, name="smooth-operator", daemon=True)
         self._thread.start()
+        atexit.register(self.close)  # a program that fails must not end while the loop runs
 
     def close(self) -> None:
         """End the loop."""
+        atexit.unregister(self.close)
         self._ending.set()
         if self._loop is not None:
             self._loop.controls.quit()

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,27 @@ from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot.teleoperators.utils import TeleopEvents
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_teleoperator_smooth_operator.commands import Command, Newest
+from lerobot_teleoperator_smooth_operator.commands import ARM_PREFIX, Command, Newest
 from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
+from lerobot_teleoperator_smooth_operator.end_effector import (
+    DELTA_KEYS,
+    EE_KEYS,
+    Steps,
+    gripper_command,
+)
 from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
+from lerobot_teleoperator_smooth_operator.gripper import OPEN, Gripper
 from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.landmark_steps import LANDMARK_KEYS
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
+from smooth_operator import poses
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys, wrist_pose
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
+from smooth_operator.simulation.arms.catalogue import arm_named
+from smooth_operator.teleop.arm.settings import read_arm
 
 logger = logging.getLogger(__name__)
 
@@ -35,8 +45,18 @@ _EPISODE = ("success", "end", "again")
 _MOVING = ("tracking", "blending")
 """Modes of the loop in which the operator moves the robot."""
 
-_OWN_HAND = "mimic_p050"
+_OWN_HAND, _OWN_GRIPPER = "mimic_p050", "so101"
 """Robot hand of a loop in this process, if the settings name none."""
+
+_WRIST_KEYS = {
+    **{name: pose_keys(names) for name, names in WRIST_NAMES.items()},
+    "ee": EE_KEYS,
+    "delta": DELTA_KEYS,
+}
+"""Notation of the wrist -> its keys."""
+
+_GRIPPER_KEYS = {"ee": "ee.gripper_pos", "delta": "gripper"}
+"""Notation of the wrist -> key of the gripper, if it has one of its own."""
 
 
 class _HandActions:
@@ -53,13 +73,22 @@ class _HandActions:
         self, side: str, config: SmoothOperatorConfig, joints: Mapping[str, str], prefix: str
     ) -> None:
         self.side, self._config, self._prefix = side, config, prefix
-        self._given = dict(joints)
-        self._expected = () if joints else _model_joints(side, config)
-        self.keys = self._made(joints or {name: name for name in self._expected})
+        by = config.gripper or ("pinch" if config.arm or config.wrist in _GRIPPER_KEYS else "")
+        self._gripper = Gripper(by) if by else None
+        self._given: Mapping[str, str] | None = joints or None
+        if not joints and config.arm:
+            arm = arm_named(read_arm(config.arm).name)
+            self._given = {f"{ARM_PREFIX}{name}": name for name in arm.joint_names}
+        elif not joints and by:
+            self._given = {}
+        self._expected = () if self._given is not None else _model_joints(side, config)
+        self.known = self._given is not None or bool(self._expected)
+        self.keys = self._made(self._expected)
         self._order: tuple[int, ...] = ()
         self._names: tuple[str, ...] = ()
         self._joints, self._pose = Follower(), PoseFollower()
-        self.pose_keys = tuple(f"{prefix}{key}" for key in pose_keys(WRIST_NAMES[config.wrist]))
+        self._steps = Steps(config.delta_step_m)
+        self.pose_keys = tuple(f"{prefix}{key}" for key in _WRIST_KEYS[config.wrist])
         self.landmark_keys = tuple(f"{prefix}{key}" for key in LANDMARK_KEYS if config.landmarks)
         self._landmarks = np.zeros(len(LANDMARK_KEYS))
 
@@ -75,20 +104,20 @@ class _HandActions:
         """
         if self._expected not in ((), command.names):
             raise ValueError(
-                f"--teleop.hand={self._config.hand or _OWN_HAND} has the joints "
+                f"--teleop.hand={_own_hand(self._config)} has the joints "
                 f"{', '.join(self._expected)}, but smooth-operator sends "
                 f"{', '.join(command.names)} for the {self.side} hand; name the hand that teleop "
                 "drives, or the joints in --teleop.joints"
             )
-        joints = self._given or {name: name for name in command.names}
-        missing = [name for name in joints if name not in command.names]
+        missing = [name for name in self._given or () if name not in command.names]
         if missing:
+            arm = f"; start teleop with --arm {self._config.arm}" if self._config.arm else ""
             raise ValueError(
                 f"joints: {', '.join(missing)} are not joints of the {self.side} hand that "
-                f"smooth-operator drives: {', '.join(command.names)}"
+                f"smooth-operator drives: {', '.join(command.names)}{arm}"
             )
-        self.keys = self._made(joints)
-        self._order = tuple(command.names.index(key.joint) for key in self.keys)
+        self.keys, self.known = self._made(command.names), True
+        self._order = tuple(command.names.index(key.joint) for key in self.keys if key.joint)
         self._names = command.names
 
     def hold(self) -> None:
@@ -99,6 +128,8 @@ class _HandActions:
 
     def put(self, action: Mapping[str, float]) -> None:
         """Hold an action of the robot, such as that of a policy; other keys are ignored."""
+        if self._config.wrist == "delta":
+            return  # an action of it is no place
         angles = self._joints.values
         if angles is not None:
             pairs = zip(self.keys, angles, strict=True)
@@ -120,12 +151,17 @@ class _HandActions:
                     f"smooth-operator now drives another {self.side} hand; connect again, or name "
                     "the joints in --teleop.joints"
                 )
-        self._joints.follow([command.positions[i] for i in self._order], now)
         points = command.landmarks
-        if points is not None and np.isfinite(points).all():
+        if points is not None and np.isfinite(points).all() and command.mode in _MOVING:
             self._landmarks = np.append(points, 1.0)
         else:
             self._landmarks[-1] = 0.0
+        targets = [command.positions[i] for i in self._order]
+        if self._gripper is not None:
+            if self._landmarks[-1]:
+                self._gripper.follow(self._landmarks[:-1].reshape(21, 3))
+            targets.append(self._gripper.opening / OPEN)
+        self._joints.follow(targets, now)
         if self.pose_keys and command.wrist is not None:
             self._pose.follow(command.wrist, now)
         elif self.pose_keys:
@@ -140,22 +176,39 @@ class _HandActions:
             key.key: key.value(float(angle)) for key, angle in zip(self.keys, angles, strict=True)
         }
         if self.pose_keys and pose is not None:
-            turn = rotation_6d(pose[3:]) if self._config.wrist == "rotation_6d" else pose[3:]
-            numbers = [*map(float, pose[:3]), *map(float, turn)]
-            values.update(zip(self.pose_keys, numbers, strict=True))
+            values.update(zip(self.pose_keys, map(float, self._wrist_values(pose)), strict=True))
+        if self._config.wrist == "delta":
+            gripper = self.keys[-1].key
+            values[gripper] = gripper_command(values[gripper])
         values.update(zip(self.landmark_keys, map(float, self._landmarks), strict=False))
         return values
 
-    def _made(self, joints: Mapping[str, str]) -> tuple[JointKey, ...]:
+    def _wrist_values(self, pose: np.ndarray) -> np.ndarray:
+        """Values of ``pose_keys`` for a pose (7,) of the wrist."""
+        wrist = self._config.wrist
+        if wrist == "delta":
+            return self._steps.next(pose[:3])
+        if wrist == "ee":
+            return np.append(pose[:3], poses.rotation_vectors(pose[3:]))
+        return np.append(pose[:3], rotation_6d(pose[3:])) if wrist == "rotation_6d" else pose
+
+    def _made(self, names: Sequence[str]) -> tuple[JointKey, ...]:
+        """Keys of the joints that the settings name, or of all ``names``; the gripper's is last."""
         config = self._config
-        return joint_keys(
-            joints,
-            config.unit,
+        joints = joint_keys(
+            {name: name for name in names} if self._given is None else self._given,
+            config.unit or ("degrees" if config.arm else "radians"),
             ends=config.ends,
             signs=config.signs,
             offsets=config.offsets,
             prefix=self._prefix,
         )
+        if self._gripper is None:
+            return joints
+        key = f"{self._prefix}{_GRIPPER_KEYS.get(config.wrist, 'gripper.pos')}"
+        if any(joint.key == key for joint in joints):
+            raise ValueError(f"joints: {key} is the key of the gripper; name the joint otherwise")
+        return (*joints, JointKey("", key, OPEN, 0.0, 0.0, OPEN))
 
 
 class SmoothOperator(Teleoperator):
@@ -194,21 +247,29 @@ class SmoothOperator(Teleoperator):
         self.human = HumanHands([hand.side for hand in self._hands])
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """Key -> ``float``; before ``connect`` if ``joints``, ``hand`` or ``source`` is set."""
-        if not all(hand.keys for hand in self._hands):
+    def action_features(self) -> dict[str, Any]:
+        """Key -> ``float``; before ``connect`` if the settings name the joints.
+
+        ``hand``, ``source``, ``arm`` and a gripper name them, too. With ``wrist=delta``, it is the
+        description of a column, as that of LeRobot's own teleoperators with such keys.
+        """
+        if not all(hand.known for hand in self._hands):
             raise DeviceNotConnectedError(
                 "the joints are unknown until commands arrive: connect first, or name the hand "
                 "that teleop drives (--teleop.hand) or its joints (--teleop.joints)"
             )
-        features: dict[str, type] = {}
+        if self.config.wrist == "delta":
+            names = (*self._hands[0].pose_keys, *(key.key for key in self._hands[0].keys))
+            numbers = {name: number for number, name in enumerate(names)}
+            return {"dtype": "float32", "shape": (len(names),), "names": numbers}
+        features: dict[str, Any] = {}
         for hand in self._hands:
             features |= {key.key: float for key in hand.keys}
             features |= dict.fromkeys((*hand.pose_keys, *hand.landmark_keys), float)
         return features
 
     @property
-    def feedback_features(self) -> dict[str, type]:
+    def feedback_features(self) -> dict[str, Any]:
         """Those of an action: LeRobot's DAgger then hands over by ``send_feedback``."""
         return self.action_features
 
@@ -283,9 +344,10 @@ class SmoothOperator(Teleoperator):
             feed = InProcess(
                 config.source,
                 self._newest,
-                config.hand or _OWN_HAND,
+                _own_hand(config),
                 config.side,
                 config.method,
+                config.arm,
                 wrist_joints=config.wrist == "none",
                 operator=self.operator_file,
                 bind=config.bind,
@@ -467,12 +529,17 @@ class SmoothOperator(Teleoperator):
         self._warned = bool(held)
 
 
+def _own_hand(config: SmoothOperatorConfig) -> str:
+    """Robot hand of a loop in this process."""
+    gripper = config.arm or config.gripper or config.wrist in _GRIPPER_KEYS
+    return config.hand or (_OWN_GRIPPER if gripper else _OWN_HAND)
+
+
 def _model_joints(side: str, config: SmoothOperatorConfig) -> tuple[str, ...]:
     """Joints of the hand that the settings name, as commands name them; empty without a hand."""
-    name = config.hand or (_OWN_HAND if config.source else "")
-    if not name:
+    if not config.hand and not config.source:
         return ()
-    hand = load_hand(name, side)
+    hand = load_hand(_own_hand(config), side)
     return (with_wrist_joints(hand) if config.wrist == "none" else hand).joint_names
 
 
@@ -484,9 +551,11 @@ def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
     """
     if config.side not in ("right", "left", "both"):
         raise ValueError(f"side must be right, left or both, not {config.side!r}")
-    if config.wrist not in WRIST_NAMES:
-        raise ValueError(f"wrist must be one of {', '.join(WRIST_NAMES)}, not {config.wrist!r}")
-    check_numbers(config, not_negative=("timeout_s", "hold_s"))
+    if config.wrist not in _WRIST_KEYS:
+        raise ValueError(f"wrist must be one of {', '.join(_WRIST_KEYS)}, not {config.wrist!r}")
+    if config.wrist == "delta" and (config.side == "both" or config.joints or config.arm):
+        raise ValueError("wrist=delta is for one hand, without joints and arm: remove them")
+    check_numbers(config, positive=("delta_step_m",), not_negative=("timeout_s", "hold_s"))
     left = config.left_joints or config.joints
     named = {**config.joints, **{f"{name} (left)": key for name, key in left.items()}}
     about: dict[str, Mapping[str, object]] = {

@@ -38,7 +38,8 @@ def wrist_pose(values: Sequence[float]) -> np.ndarray:
     """Pose of a wrist from the values of its keys, whose rotation may be inexact.
 
     Args:
-        values: x y z [m], and a quaternion wxyz or the first two columns of a rotation matrix.
+        values: x y z [m], and a rotation vector [rad], a quaternion wxyz or the first two columns
+            of a rotation matrix.
 
     Returns:
         (7,) x y z [m], unit quaternion wxyz.
@@ -47,6 +48,8 @@ def wrist_pose(values: Sequence[float]) -> np.ndarray:
         ValueError: the rotation is too far from one.
     """
     place, turn = np.split(np.asarray(values, np.float64), [3])
+    if len(turn) == 3:
+        return np.concatenate([place, poses.from_rotation_vectors(turn)])
     if len(turn) == 4:
         length = np.linalg.norm(turn)
         if not 0.1 < length < 10.0:

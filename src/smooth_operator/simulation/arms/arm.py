@@ -73,6 +73,15 @@ def hand_directions(hand: Hand) -> Float[np.ndarray, "3 3"]:
 
 
 Point = tuple[float, float, float]
+Place = tuple[float, float, float, float, float, float, float]
+"""Pose of a frame in another one: x y z [m], quaternion w x y z."""
+
+
+def denavit_hartenberg(alpha: float, a: float, d: float) -> Place:
+    """Frame of a joint in the one of the previous joint, by the modified convention (Craig): rotate
+    by ``alpha`` about x [rad], move by ``a`` along x and by ``d`` along the new z, the axis [m].
+    """
+    return (a, -sin(alpha) * d, cos(alpha) * d, cos(alpha / 2), sin(alpha / 2), 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -86,17 +95,11 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Link:
-    """A joint and the link that it rotates.
-
-    The frame is that of the modified Denavit-Hartenberg convention (Craig): from the previous link,
-    rotate by ``alpha`` about x, move by ``a`` along x and by ``d`` along the new z, which is the
-    joint's axis.
+    """A joint and the link that it rotates, about the z of its own frame.
 
     Attributes:
         joint: name of the joint, as in the maker's description and in MuJoCo Menagerie.
-        alpha: twist about x [rad].
-        a: offset along x [m].
-        d: offset along the joint's axis [m].
+        place: frame of the link in that of the previous one, at position 0.
         limits: lowest and highest position [rad].
         velocity: velocity limit in the maker's data sheet [rad/s].
         acceleration: acceleration limit [rad/s^2].
@@ -106,9 +109,7 @@ class Link:
     """
 
     joint: str
-    alpha: float
-    a: float
-    d: float
+    place: Place
     limits: tuple[float, float]
     velocity: float
     acceleration: float
@@ -125,7 +126,7 @@ class ArmSpec:
         name: name in the catalogue.
         title: the maker's name of the arm.
         links: the links, from the base.
-        flange: distance of the flange from the last joint, along the joint's z [m].
+        flange: frame of the flange, whose z points out of it, in that of the last link.
         base: capsules of the base, in its frame: z up, x forward.
         nominal: (n,) preferred joint positions [rad].
         home: (3,) initial position of the hand's wrist in the base frame [m].
@@ -136,12 +137,14 @@ class ArmSpec:
         back: additional distance of the base from a task, for hands whose fingers are level at home
             [m].
         notes: which figures are not the maker's.
+        gripper: name of the hand that is built onto the arm, and the frame of its model in that of
+            the flange; None if any hand is mounted by its own shape.
     """
 
     name: str
     title: str
     links: tuple[Link, ...]
-    flange: float
+    flange: Place
     base: tuple[Capsule, ...]
     nominal: tuple[float, ...]
     home: Point
@@ -151,6 +154,7 @@ class ArmSpec:
     sources: tuple[str, ...]
     back: float = 0.0
     notes: tuple[str, ...] = field(default=())
+    gripper: tuple[str, Place] | None = None
 
     def __post_init__(self) -> None:
         if len(self.nominal) != len(self.links):
@@ -165,6 +169,10 @@ class ArmSpec:
                     f"arm {self.name!r}: the nominal position {q} of {link.joint} is not within "
                     f"its limits {low} to {high}"
                 )
+
+    def mount_of(self, hand: str) -> Place | None:
+        """Frame of a hand's model in that of the flange, if that hand is built onto the arm."""
+        return self.gripper[1] if self.gripper is not None and self.gripper[0] == hand else None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -214,12 +222,8 @@ def arm_spec(arm: ArmSpec) -> mujoco.MjSpec:
     body = spec.worldbody.add_body(name=BASE)
     _add_capsules(body, BASE, arm.base, 0.0, _GREY)
     for number, link in enumerate(arm.links, start=1):
-        alpha = link.alpha
         body = body.add_body(
-            name=f"link{number}",
-            pos=(link.a, -sin(alpha) * link.d, cos(alpha) * link.d),
-            quat=(cos(alpha / 2), sin(alpha / 2), 0.0, 0.0),
-            gravcomp=1.0,
+            name=f"link{number}", pos=link.place[:3], quat=link.place[3:], gravcomp=1.0
         )
         body.add_joint(
             name=link.joint,
@@ -230,7 +234,7 @@ def arm_spec(arm: ArmSpec) -> mujoco.MjSpec:
             armature=_ROTOR,
         )
         _add_capsules(body, f"link{number}", link.capsules, link.mass, _WHITE)
-    body.add_body(name=FLANGE, pos=(0.0, 0.0, arm.flange))
+    body.add_body(name=FLANGE, pos=arm.flange[:3], quat=arm.flange[3:])
     return spec
 
 
@@ -331,11 +335,14 @@ class HandMount:
         hand: the robot hand.
         adapter: thickness of the plate between flange and hand [m].
         roll: rotation of the hand about the flange's z [rad]; at 0 its back points along x.
+        built_on: frame of the hand's model in that of the flange, for the gripper of an arm;
+            adapter and roll do not count then.
     """
 
     hand: Hand
     adapter: float = 0.02
     roll: float = 0.0
+    built_on: Place | None = None
 
     @cached_property
     def palm_to_wrist(self) -> Matrix:
@@ -375,11 +382,21 @@ class HandMount:
     @cached_property
     def flange_to_wrist(self) -> Matrix:
         """Pose of the wrist frame in the flange's frame."""
+        if self.built_on is not None:
+            return np.asarray(matrix_of(self.built_on) @ self.model_to_palm @ self.palm_to_wrist)
         c, s = np.cos(self.roll), np.sin(self.roll)
         back = np.array([c, s, 0.0])
         out = np.array([0.0, 0.0, 1.0])
         turn = np.stack([out, np.cross(back, out), back], axis=1)
         return rigid(turn, (self.adapter + self.length) * out)
+
+    @cached_property
+    def wrist_to_pinch(self) -> Matrix:
+        """Frame between the tips of thumb and index finger in the wrist frame, with its axes."""
+        hand = self.hand
+        tips = hand.tips(hand.full_configuration(hand.neutral))[:2]
+        middle = inverse(self.palm_to_wrist) @ np.append(tips.mean(axis=0), 1.0)
+        return rigid(np.eye(3), middle[:3])
 
     @cached_property
     def flange_to_model(self) -> Matrix:
@@ -396,7 +413,8 @@ class HandCapsules:
     Attributes:
         radii: (c,) radii [m].
         halves: (c,) half lengths of the segments [m].
-        fingers: (c,) mask of the capsules that joints of the hand move.
+        fingers: (c,) mask of the capsules that joints of the hand move; of all, for a gripper,
+            whose fixed jaw belongs to the palm.
     """
 
     def __init__(self, mount: HandMount) -> None:
@@ -425,7 +443,7 @@ class HandCapsules:
         while body:
             body = int(model.body_weldid[model.body_parentid[body]])
             moving.add(body)
-        self.fingers = ~np.isin(model.body_weldid[self._body], list(moving))
+        self.fingers = ~np.isin(model.body_weldid[self._body], list(moving)) | hand.spec.gripper
 
     def __len__(self) -> int:
         return len(self.radii)

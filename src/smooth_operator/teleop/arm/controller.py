@@ -27,6 +27,7 @@ from smooth_operator.simulation.arms.arm import (
     Matrix,
     angle_between,
     arm_spec,
+    inverse,
     matrix_of,
     pose_of,
     rigid,
@@ -57,7 +58,7 @@ _DEEP: Final = 1.0
 """Penetration depth that parts never reach [m]."""
 
 _TINY: Final = 1e-9
-_WRIST, _TABLE, _WALL = "wrist", "table", "wall"
+_SITE, _TABLE, _WALL = "target", "table", "wall"
 
 
 @dataclass(frozen=True)
@@ -209,16 +210,17 @@ def _close_pairs(
 def _arm_model(
     arm: ArmSpec,
     mount: HandMount,
+    site: Matrix,
     capsules: HandCapsules,
     table: float | None,
     wall: float | None,
     config: ClearanceConfig,
 ) -> mujoco.MjModel:
-    """Model of an arm with the site ``_WRIST``, table and wall; the hand's capsules come last."""
+    """Model of an arm with the site ``_SITE``, table and wall; the hand's capsules come last."""
     spec = arm_spec(arm)
     flange = spec.body(FLANGE)
-    pose = pose_of(mount.flange_to_wrist)
-    flange.add_site(name=_WRIST, pos=pose[:3], quat=pose[3:])
+    pose = pose_of(site)
+    flange.add_site(name=_SITE, pos=pose[:3], quat=pose[3:])
     middles, axes = capsules.at(mount.hand.full_configuration(mount.hand.neutral))
     turns = _quaternions(axes)
     for k, (radius, half) in enumerate(zip(capsules.radii, capsules.halves, strict=True)):
@@ -288,6 +290,9 @@ class ArmControlConfig:
         margin: distance to keep from each end of a joint's range [rad].
         orientation: weight of 1 rad of rotation error against 1 m.
         posture: weight of 1 rad from the arm's preferred posture against 1 m.
+        soft_orientation: ``orientation`` for arms with fewer than six joints, which can't reach
+            every orientation: the position then comes first.
+        soft_posture: ``posture`` for these arms.
         damping: largest damping near a singular pose [m].
         singular: smallest singular value of the Jacobian without damping [m/rad].
         collisions: True to avoid collisions between parts.
@@ -303,6 +308,8 @@ class ArmControlConfig:
     margin: float = 0.02
     orientation: float = 0.15
     posture: float = 0.03
+    soft_orientation: float = 0.03
+    soft_posture: float = 0.005
     damping: float = 0.08
     singular: float = 0.04
     collisions: bool = True
@@ -319,9 +326,10 @@ class ArmControlConfig:
                 "turn_acceleration",
                 "joint_speed",
                 "orientation",
+                "soft_orientation",
                 "singular",
             ),
-            not_negative=("margin", "posture", "damping"),
+            not_negative=("margin", "posture", "soft_posture", "damping"),
         )
         if not 0 < self.velocity_share <= 1:
             raise ConfigError(
@@ -336,6 +344,10 @@ class ArmController:
     a preferred posture and damping near singular poses, within limits of position, velocity,
     acceleration and clearance. ``JointLimiter`` comes last, so the first three limits hold for any
     target. If the program has no solution, the arm brakes.
+
+    An arm with fewer than six joints can't reach every orientation. It brings the point between the
+    tips of thumb and index finger to its place, and turns the hand as far as it can. Its home is
+    its nominal posture.
 
     Not thread-safe: it belongs to the loop.
 
@@ -364,29 +376,33 @@ class ArmController:
     ) -> None:
         self.arm, self.mount = arm, mount
         self.config = ArmControlConfig() if config is None else config
+        self._soft = len(arm.links) < 6
+        self._to_site = mount.wrist_to_pinch if self._soft else np.eye(4)
         self._capsules = HandCapsules(mount)
         distances = self.config.clearance
-        self.model = _arm_model(arm, mount, self._capsules, table, wall, distances)
+        site = mount.flange_to_wrist @ self._to_site
+        self.model = _arm_model(arm, mount, site, self._capsules, table, wall, distances)
         nominal = np.array(arm.nominal)
         self._configuration = mink.Configuration(self.model, nominal)
-        self._site = self.model.site(_WRIST).id
+        self._site = self.model.site(_SITE).id
         self._hand_geoms = slice(self.model.ngeom - len(self._capsules), None)
         fingers = np.zeros(self.model.ngeom, bool)
         fingers[self._hand_geoms] = self._capsules.fingers
         self._clearance = Clearance(arm, self.model, fingers, distances)
+        values = self.config
+        self._orientation = values.soft_orientation if self._soft else values.orientation
         self._task = mink.FrameTask(
-            _WRIST, "site", position_cost=1.0, orientation_cost=self.config.orientation
+            _SITE, "site", position_cost=1.0, orientation_cost=self._orientation
         )
-        self._posture = mink.PostureTask(self.model, cost=self.config.posture, gain=0.02)
+        posture = values.soft_posture if self._soft else values.posture
+        self._posture = mink.PostureTask(self.model, cost=posture, gain=0.02)
         self._posture.set_target(nominal)
         self._box = _Box(self.model.nv)
         self._hand = mount.hand.full_configuration(mount.hand.neutral)
         self.limiter = self._limiter(nominal)
         self._before: Matrix | None = None
         self._twist = np.zeros(6)
-        half = arm.pitch / 2.0  # fingers forward and down, the back of the hand up
-        home = matrix_of(np.array([*arm.home, np.cos(half), 0.0, np.sin(half), 0.0]))
-        self.home = self._go_home(home)
+        self.home = nominal if self._soft else self._go_home()
 
     @property
     def q(self) -> Float[np.ndarray, " n"]:
@@ -396,7 +412,7 @@ class ArmController:
     @property
     def pose(self) -> Float[np.ndarray, "7"]:
         """(7,) pose of the hand's wrist at the last command, in the base frame."""
-        return pose_of(self._wrist())
+        return pose_of(self._at_site() @ inverse(self._to_site))
 
     @property
     def clearance(self) -> float:
@@ -412,7 +428,8 @@ class ArmController:
         data = mujoco.MjData(self.model)
         data.qpos[:] = positions
         mujoco.mj_kinematics(self.model, data)
-        return pose_of(rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site]))
+        site = rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site])
+        return pose_of(site @ inverse(self._to_site))
 
     def restart(self, positions: Float[np.ndarray, " n"]) -> None:
         """Reset to measured joint positions (n,) [rad], at rest."""
@@ -442,7 +459,8 @@ class ArmController:
         dt = max(dt, 1e-4)
         goal = None
         if not stop and target is not None and np.isfinite(target).all():
-            goal = matrix_of(target) if np.linalg.norm(target[3:]) >= 1e-6 else None
+            turns = np.linalg.norm(target[3:]) >= 1e-6
+            goal = matrix_of(target) @ self._to_site if turns else None
         state = "stopped" if stop else "holding" if goal is None else "following"
         if goal is None:
             self.limiter.rest(dt)
@@ -455,7 +473,7 @@ class ArmController:
                 self.limiter.follow(velocity, dt)
             state = limited or state
         self._configuration.update(self.limiter.q)
-        now = self._wrist()
+        now = self._at_site()
         apart = (float("nan"), float("nan"))
         if goal is not None:
             apart = float(np.linalg.norm(goal[:3, 3] - now[:3, 3])), angle_between(now, goal)
@@ -464,7 +482,7 @@ class ArmController:
             self.arm.joint_names,
             self.limiter.q.copy(),
             self.limiter.velocity.copy(),
-            pose_of(now),
+            self.pose,
             *apart,
             self._clearance.nearest,
             state,
@@ -476,7 +494,7 @@ class ArmController:
         self.model.geom_pos[self._hand_geoms] = middles
         self.model.geom_quat[self._hand_geoms] = _quaternions(axes)
         self._configuration.update()
-        now = self._wrist()
+        now = self._at_site()
         step = self._governed(now, goal, dt)
         aim = now.copy()
         aim[:3, 3] += step[:3]
@@ -526,14 +544,14 @@ class ArmController:
 
     def _damping(self) -> float:
         """Damping of the quadratic program [m^2]; zero if the arm can move in every direction."""
-        jacobian = self._configuration.get_frame_jacobian(_WRIST, "site")
-        scaled = jacobian.copy()
-        scaled[3:] *= self.config.orientation
+        jacobian = self._configuration.get_frame_jacobian(_SITE, "site")
+        scaled = jacobian[:3] if self._soft else jacobian.copy()
+        scaled[3:] *= self._orientation
         least = np.sqrt(max(float(np.linalg.eigvalsh(scaled @ scaled.T)[0]), 0.0))
         share = max(0.0, 1.0 - least / self.config.singular)
         return 1e-6 + float(share * self.config.damping) ** 2
 
-    def _wrist(self) -> Matrix:
+    def _at_site(self) -> Matrix:
         data = self._configuration.data
         return rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site])
 
@@ -542,9 +560,13 @@ class ArmController:
         velocity = np.minimum(config.velocity_share * arm.velocity, config.joint_speed)
         return JointLimiter(arm.limits, velocity, arm.acceleration, start, config.margin)
 
-    def _go_home(self, home: Matrix) -> Float[np.ndarray, " n"]:
-        """Joint positions of the home pose, reached from the nominal posture by normal steps."""
-        pose = pose_of(home)
+    def _go_home(self) -> Float[np.ndarray, " n"]:
+        """Joint positions of the home pose, reached from the nominal posture by normal steps.
+
+        In that pose, the fingers point forward and down, and the back of the hand up.
+        """
+        half = self.arm.pitch / 2.0
+        pose = np.array([*self.arm.home, np.cos(half), 0.0, np.sin(half), 0.0])
         for _ in range(_HOME_STEPS):
             command = self.step(pose, _HOME_STEP_S)
             if (

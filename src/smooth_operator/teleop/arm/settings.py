@@ -24,7 +24,7 @@ class ArmSettings:
     """Settings that choose the arm that carries a hand, and place it.
 
     Attributes:
-        name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.
+        name: ``panda``, ``ur5e``, ``xarm7``, ``iiwa14`` or ``so101``.
         adapter: thickness of the plate between flange and hand [m].
         roll: roll of the hand about the flange's axis [degrees]; by default that of the arm.
         spacing: distance between the bases of two arms [m]; each arm stays on its side of the
@@ -37,7 +37,7 @@ class ArmSettings:
         ConfigError: a setting is out of its range.
     """
 
-    name: Literal["panda", "ur5e", "xarm7", "iiwa14"]
+    name: Literal["panda", "ur5e", "xarm7", "iiwa14", "so101"]
     adapter: float = 0.02
     roll: float | None = None
     spacing: float = 1.0
@@ -77,7 +77,7 @@ def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, 
     return {
         side: CarriedHand(
             arm,
-            HandMount(hand, settings.adapter, roll),
+            HandMount(hand, settings.adapter, roll, arm.mount_of(hand.name)),
             np.array(arm.nominal),
             rigid(np.eye(3), (0.0, -apart if side == "right" else apart, 0.0)),
         )

@@ -1,0 +1,157 @@
+"""LeRobot's SO-101 by hand tracking: its real classes, and simulated servos on a serial line.
+
+Needs LeRobot with its extras ``feetech`` and ``kinematics``, and the teleoperator, installed; CI
+has a job with them (``lerobot``).
+"""
+
+import importlib.metadata
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lerobot_stand_in import PACKAGES, TELEOPERATOR
+from scipy.spatial.transform import Rotation
+from simulators.common import SerialLine
+from simulators.feetech_bus import SYNC_WRITE, FeetechBus
+
+from smooth_operator.simulation.arms.catalogue import ARMS
+
+INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
+LACKING = {"lerobot", "feetech-servo-sdk", "placo", "mink", "daqp", TELEOPERATOR} - INSTALLED
+
+pytestmark = [
+    pytest.mark.lerobot,
+    pytest.mark.skipif(bool(LACKING), reason=f"not installed: {', '.join(sorted(LACKING))}"),
+]
+
+MOTORS = (*ARMS["so101"].joint_names, "gripper")
+LOW, HIGH = 500, 3500  # range of each motor, as calibrated [steps]
+GOAL = 42  # address of the goal position
+DEGREE = 4095 / 360  # [steps]
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Iterator[SerialLine]:
+    """The six servos of an SO-101, which LeRobot has calibrated under the name ``arm``."""
+    bus = FeetechBus(dict.fromkeys(range(1, 7), "sts3215"))
+    calibration = {}
+    for number, name in enumerate(MOTORS, start=1):
+        servo = bus.servos[number]
+        servo.set_word(9, LOW)
+        servo.set_word(11, HIGH)
+        values = {"id": number, "drive_mode": 0, "homing_offset": 0}
+        calibration[name] = {**values, "range_min": LOW, "range_max": HIGH}
+    folder = tmp_path / "robots" / "so_follower"
+    folder.mkdir(parents=True)
+    (folder / "arm.json").write_text(json.dumps(calibration))
+    with SerialLine(bus) as line:
+        yield line
+
+
+def ran(words: list[str], line: SerialLine, folder: Path) -> None:
+    """Runs a program with LeRobot's calibration in a folder."""
+    environment = {
+        **os.environ,
+        "HF_HUB_OFFLINE": "1",
+        "HF_LEROBOT_CALIBRATION": str(folder),
+        "JAX_PLATFORMS": "cpu",
+    }
+    for _ in range(3):
+        line.device.received.clear()
+        done = subprocess.run(
+            [sys.executable, *words], env=environment, capture_output=True, text=True, timeout=600
+        )
+        # LeRobot waits shortly for a servo, and a busy machine delays the simulated ones.
+        if done.returncode == 0 or "no status packet" not in done.stderr:
+            break
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+
+
+def goals(line: SerialLine) -> np.ndarray:
+    """(t, 6) goals that the servos got, in steps."""
+    sent = [body[5:-1] for body in line.device.received if body[4] == SYNC_WRITE]
+    rows = []
+    for parameters in sent:
+        if parameters[0] == GOAL:
+            items = np.frombuffer(parameters[2:], np.uint8).reshape(-1, 3).astype(int)
+            assert items[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
+            rows.append(items[:, 1] + 256 * items[:, 2])
+    return np.array(rows)
+
+
+def test_one_command_teleoperates_an_so101(arm, tmp_path):
+    ran(
+        [
+            *("-m", "lerobot.scripts.lerobot_teleoperate", "--teleop_time_s=4"),
+            *("--robot.type=so101_follower", f"--robot.port={arm.port}", "--robot.id=arm"),
+            *("--robot.max_relative_target=10", "--teleop.type=smooth_operator"),
+            *("--teleop.arm=so101", "--teleop.source=synthetic:wrist=0.05"),
+        ],
+        arm,
+        tmp_path,
+    )
+    sent = goals(arm)
+    assert len(sent) > 40
+    middle = (LOW + HIGH) / 2
+    # The arm stood in the middle of its ranges, and goes to its home in small steps.
+    assert np.abs(sent[0, :5] - 2048).max() <= 10 * DEGREE + 1
+    home = np.degrees(ARMS["so101"].nominal)
+    near = np.abs((sent[:, :5] - middle) / DEGREE - home).max(axis=1).min()
+    assert near < 15.0
+    # Body joints in degrees from the middle, within the limits of the model.
+    angles = np.radians((sent[:, :5] - middle) / DEGREE)
+    limits = ARMS["so101"].limits
+    assert (angles > limits[:, 0] - 0.01).all()
+    assert (angles < limits[:, 1] + 0.01).all()
+    assert np.ptp(angles[len(angles) // 2 :], axis=0).min() > 0.02, "each joint moves"
+    # The gripper in percent of its range: the operator pinches, and opens again.
+    assert np.ptp(sent[:, 5]) > 0.5 * (HIGH - LOW)
+
+
+def test_lerobots_own_inverse_kinematics_moves_an_so101(arm, tmp_path):
+    """The example script."""
+    urdf = tmp_path / "so101.urdf"
+    urdf.write_text(kinematic_urdf())
+    example = PACKAGES / TELEOPERATOR / "examples" / "so101_end_effector.py"
+    words = [str(example), "--port", arm.port, "--urdf", str(urdf), "--id", "arm"]
+    ran([*words, "--source", "synthetic:wrist=0.05", "--seconds", "4"], arm, tmp_path)
+    sent = goals(arm)
+    assert len(sent) > 40
+    # It starts where the arm stands, and moves on without jumps.
+    assert np.abs(sent[0, :5] - 2048).max() < 3 * DEGREE
+    assert np.ptp(sent[:, :5], axis=0).max() > 5 * DEGREE
+    assert np.ptp(sent[:, 5]) > 0.5 * (HIGH - LOW)
+
+
+def kinematic_urdf() -> str:
+    """An SO-101 of our catalogue as a URDF without shapes, with the maker's frame between jaws."""
+    jaw = (0.0202, 0.0188, -0.0234, 0.5**0.5, 0.5**0.5, 0.0, 0.0)
+    places = [*(link.place for link in ARMS["so101"].links), jaw]
+    mass = (
+        '<inertial><mass value="0.1"/>'
+        '<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    text, parent = '<robot name="so101"><link name="base"/>', "base"
+    for name, (x, y, z, w, *axis) in zip(MOTORS, places, strict=True):
+        turn = Rotation.from_quat([*axis, w]).as_matrix()
+        roll, yaw = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
+        pitch = np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0))
+        if abs(turn[2, 0]) > 0.999999:  # at the pole, only the sum of roll and yaw counts
+            roll, yaw = 0.0, np.arctan2(-turn[0, 1], turn[1, 1])
+        text += (
+            f'<link name="{name}_link">{mass}</link><joint name="{name}" type="revolute">'
+            f'<origin xyz="{x} {y} {z}" rpy="{roll} {pitch} {yaw}"/>'
+            f'<parent link="{parent}"/><child link="{name}_link"/><axis xyz="0 0 1"/>'
+            '<limit lower="-3" upper="3" effort="10" velocity="10"/></joint>'
+        )
+        parent = parent if name == "gripper" else f"{name}_link"
+    return text + (
+        '<link name="gripper_frame_link"/><joint name="frame" type="fixed">'
+        f'<origin xyz="-0.0079 -0.0002 -0.0981" rpy="0 3.14159265 0"/><parent link="{parent}"/>'
+        '<child link="gripper_frame_link"/></joint></robot>'
+    )
