@@ -253,6 +253,28 @@ def test_a_session_of_the_other_hand_or_in_another_order_is_refused(retargeter, 
         assert stage.ticks[-1].mode.moves
 
 
+def test_another_tracker_takes_over_without_a_jump(retargeter, motion):
+    """A hand in place of a controller is a new session, whatever its pose."""
+    spread = np.linalg.norm(motion.landmarks[:, 8] - motion.landmarks[:, 0], axis=1)
+    opened, closed = motion[int(spread.argmax())], motion[int(spread.argmin())]
+    stage = Stage(retargeter)
+    moved = {}
+    for session, frame in ((0, opened), (0, closed), (1, opened)):
+        first = len(stage.ticks)
+        for _ in range(100):
+            stage.now += PERIOD
+            arrival = Arrival(replace(frame, stamp=stage.now), stage.now, session=session)
+            stage.ticks.append(stage.pipeline.step(stage.now, arrival))
+        q = np.array([tick.command.joint_positions for tick in stage.ticks[first:]])
+        moved[session, frame is opened] = np.abs(q - q[0]).max(axis=1)
+        assert stage.ticks[-1].mode is Mode.TRACKING
+    assert stage.ticks[first].mode is Mode.BLENDING
+    fast, smooth = moved[0, False], moved[1, True]
+    assert smooth[-1] > 0.5
+    assert smooth[10] < 0.2 * smooth[-1]  # of half a second
+    assert fast[10] > 0.6 * fast[-1]  # the same tracker, meanwhile
+
+
 def test_the_delay_of_a_tracker_with_another_clock(motion):
     delay, rng = TrackerDelay(), np.random.default_rng(0)
     extra = rng.exponential(0.004, 500)

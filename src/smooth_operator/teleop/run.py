@@ -434,7 +434,7 @@ class _Run:
             _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as stack,
         ):
-            loop.mailbox.press = press
+            loop.mailbox.bindings, loop.mailbox.press = self.bindings, press
             if self.pinches:
                 loop.mailbox.see = watched(self.pinches, press, source_gaps(source))
             if attended:

@@ -316,6 +316,7 @@ class HandPipeline:
         self._tips = MissingTips()
         self._filled: tuple[str, ...] = ()  # fingers of the last frame
         self.filled: Counter[str] = Counter()
+        self._answered: int | None = None  # session of the last frame that became a target
         self._last: float | None = None
         self._number = 0
         self._mode = self.supervisor.mode  # of the last tick
@@ -522,8 +523,12 @@ class HandPipeline:
         if result.status != Status.OK:
             self.note(f"frame not used: {result.status.reason}")
             return
-        if not self.supervisor.mode.moves:
+        session, before = answer.arrival.session, self._answered
+        if before not in (None, session):
+            self.supervisor.restart_blend(now)  # a hand in place of a controller, or a restart
+        if not self.supervisor.mode.moves or before != session:
             self._from = self.limiter.q
+        self._answered = session
         fingers = list(self.retargeter.hand.actuated)
         self._target = result.command.joint_positions[fingers]
         if self._wrist is not None:

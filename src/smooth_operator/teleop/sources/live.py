@@ -74,7 +74,8 @@ class Mailbox:
             string without a loop.
         see: function that takes each posted frame and its time of reception [s], such as for
             pinches; set by a run.
-        press: function that takes an input of the operator, such as ``button:a``; set by a run.
+        bindings: input of the operator, such as ``button:a``, -> its action; set by a run.
+        press: function that carries out the action of an input; set by a run.
         complete: function that completes each frame before it is posted, given its time of
             reception [s]; set by ``CombinedSource``.
     """
@@ -84,6 +85,7 @@ class Mailbox:
         self.stop: Callable[[], None] = lambda: None
         self.mode: Callable[[], str] = lambda: ""
         self.see: Callable[[HandFrame, float], None] = lambda frame, received: None
+        self.bindings: Mapping[str, str] = {}
         self.press: Callable[[str], None] = lambda source: None
         self.complete: Callable[[HandFrame, float], HandFrame] = lambda frame, received: frame
         self.received = 0

@@ -10,15 +10,17 @@ from page    content                                                            
              or null; ``tracking``: true while the headset tracks
 ``stop``     nothing; the page repeats it until ``pong`` has the mode *stopped*
 ``look``     ``number`` of the shapes that the page has; 0 for none                    ``view``
+``button``   ``name`` of a button of a controller that was pressed: ``a``, ``left-stick``
 ===========  ========================================================================  ============
 
-``welcome`` contains the ``session``, and ``pulses``: true if this program will send ``pulse``. That
-message lets the controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for a number of
-``seconds``, and replaces the previous one. ``pong`` repeats ``at`` and contains ``host``, the time
-by the host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``, the
-state of the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of
-the last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by
-the host's clock, to within half the round trip.
+``welcome`` contains the ``session``; ``stops``, the buttons that stop the robot, for which the page
+sends ``stop``; and ``pulses``: true if this program will send ``pulse``. That message lets the
+controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for a number of ``seconds``, and
+replaces the previous one. ``pong`` repeats ``at`` and contains ``host``, the time by the host's
+clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``, the state of the
+loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of the last
+round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by the host's
+clock, to within half the round trip.
 
 ``view`` describes the robot for drawing. Its ``number`` is 0 if there is no robot. ``nodes`` follow
 if the shapes have changed. Each has a ``parent`` (its place in the list; -1 for none) and a number
@@ -44,7 +46,7 @@ import json
 import secrets
 import struct
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -57,6 +59,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.io.documents import json_object
 from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.poses import to_ours
+from smooth_operator.teleop.control.bindings import inputs_of
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Mailbox
 from smooth_operator.types import HandFrame, Side
 from smooth_operator.web.auth import same_secret
@@ -132,6 +135,8 @@ class Link:
         self._bad_in_a_row = 0
         self._next: int | None = None
         self._received: deque[float] = deque(maxlen=512)
+        self._sources: dict[Side, bool] = {}  # True if the last hand was that of a controller
+        self._changes = Counter[Side]()  # of these
         self._farewells: set[asyncio.Task[None]] = set()
 
     @property
@@ -161,7 +166,17 @@ class Link:
             if not await self._paired(connection, address):
                 return
             self._take_over(connection, address)
-            welcome = {"type": "welcome", "session": self._state.session, "pulses": self._pulses}
+            stops = [
+                source.removeprefix("button:")
+                for source in inputs_of(self._mailbox.bindings, "stop")
+                if source.startswith("button:")
+            ]
+            welcome = {
+                "type": "welcome",
+                "session": self._state.session,
+                "stops": stops,
+                "pulses": self._pulses,
+            }
             await connection.send(json.dumps(welcome))
             async for message in connection:
                 received = self._clock()
@@ -236,7 +251,12 @@ class Link:
             self._received.append(received)
         for frame in packet.frames:
             self._state.frames += 1
-            self._mailbox.post(frame, received=received, session=self._state.session)
+            by_controller = frame.side in packet.controllers
+            if self._sources.get(frame.side, by_controller) != by_controller:
+                self._changes[frame.side] += 1  # a new session, to which the robot moves smoothly
+            self._sources[frame.side] = by_controller
+            session = self._state.session + self._changes[frame.side]
+            self._mailbox.post(frame, received=received, session=session)
 
     async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
         content = json_object(message) or {}
@@ -247,6 +267,9 @@ class Link:
             nothing = {"type": "view", "number": 0}
             view = nothing if self.view is None else self.view.look(content.get("number"))
             await connection.send(json.dumps(view))
+            return
+        if content.get("type") == "button":
+            self._mailbox.press(f"button:{content.get('name')}")
             return
         at = content.get("at")
         if content.get("type") != "ping" or not isinstance(at, int | float):
@@ -305,11 +328,13 @@ class Packet:
         number: number of the frame.
         stamp: time by the page's clock [s].
         frames: visible hands, left first.
+        controllers: sides whose hand was computed from a controller.
     """
 
     number: int
     stamp: float
     frames: tuple[HandFrame, ...]
+    controllers: frozenset[Side] = frozenset()
 
 
 def read_packet(message: bytes) -> Packet:
@@ -320,7 +345,12 @@ def read_packet(message: bytes) -> Packet:
     if not abs(stamp) < LATEST_STAMP_S:
         raise RecordingError(f"the timestamp must be a finite number of seconds, not {stamp:.6g}")
     sides = [side for bit, side in _SIDES if hands & bit]
-    if hands > 3 or len(message) != HEADER.size + len(sides) * _HAND_BYTES:
+    controllers = frozenset(side for bit, side in _SIDES if hands & 4 * bit)
+    if (
+        hands > 15
+        or not controllers <= set(sides)
+        or len(message) != HEADER.size + len(sides) * _HAND_BYTES
+    ):
         raise RecordingError(
             f"expected {len(sides)} hands in {HEADER.size + len(sides) * _HAND_BYTES} bytes, "
             f"got {len(message)}"
@@ -329,7 +359,7 @@ def read_packet(message: bytes) -> Packet:
     joints = values.reshape(len(sides), JOINTS, VALUES)
     world = f"webxr/{SPACES[space]}" if space < len(SPACES) else "webxr"
     frames = tuple(_frame(joints[i], stamp, side, world) for i, side in enumerate(sides))
-    return Packet(number, stamp, frames)
+    return Packet(number, stamp, frames, controllers)
 
 
 def _frame(joints: Float[np.ndarray, "25 8"], stamp: float, side: Side, world: str) -> HandFrame:

@@ -35,6 +35,7 @@ from smooth_operator.teleop.sources.live import (
     SourceHealth,
     ThreadedSource,
 )
+from smooth_operator.teleop.sources.webxr.controller_poses import controller_poses
 from smooth_operator.teleop.sources.webxr.link import (
     MAX_BYTES,
     Link,
@@ -82,6 +83,8 @@ async def serve(
     colors = [list(bytes.fromhex(code.removeprefix("#"))) for code in FINGER_COLORS]
     module = f"export const FINGER_COLORS = {json.dumps(colors)};\n"  # 0 to 255
     site["/colors.js"] = (module.encode(), "text/javascript; charset=utf-8")
+    module = f"export const POSES = {json.dumps(controller_poses())};\n"
+    site["/poses.js"] = (module.encode(), "text/javascript; charset=utf-8")
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:

@@ -17,7 +17,9 @@ const MAGIC = 0x31485258; // "XRH1", little-endian
 
 /** Reuses its buffers: a message is valid until the next call of read. */
 export class Hands {
-  constructor() {
+  /** @param {import('./controllers.js').Controllers} controllers */
+  constructor(controllers) {
+    this.controllers = controllers;
     this.buffer = new ArrayBuffer(HEADER + 2 * HAND * 4);
     this.header = new DataView(this.buffer);
     this.values = new Float32Array(this.buffer, HEADER);
@@ -25,6 +27,8 @@ export class Hands {
     /** Joints of each hand in this frame, as [x, y, z, ..., radius] x 25, or null. */
     this.left = null;
     this.right = null;
+    /** True if the hand is that of a controller. */
+    this.held = { left: false, right: false };
   }
 
   /**
@@ -37,16 +41,29 @@ export class Hands {
    */
   read(frame, space, stamp, floor) {
     const sources = { left: null, right: null };
+    const held = { left: null, right: null }; // controllers
     for (const source of frame.session.inputSources) {
-      if (source.hand && source.handedness in sources) sources[source.handedness] = source.hand;
+      const { handedness: side, hand, gamepad, gripSpace } = source;
+      if (!(side in sources)) continue;
+      if (hand) sources[side] = hand;
+      else if (gamepad && gripSpace) held[side] = source;
     }
     let mask = 0;
     let at = 0;
     for (const [side, bit] of [['left', 1], ['right', 2]]) {
       this[side] = null;
-      if (!sources[side]) continue;
+      this.held[side] = false;
+      if (!sources[side] && !held[side]) continue;
       const values = this.values.subarray(at, at + HAND);
-      if (fill(values, frame, sources[side], space)) this[side] = values;
+      if (sources[side] && fill(values, frame, sources[side], space)) {
+        this[side] = values; // a tracked hand comes before a controller
+      } else if (held[side] && this.controllers.fill(values, frame, held[side], space, stamp)) {
+        this[side] = values;
+        this.held[side] = true;
+        mask |= 4 * bit;
+      } else {
+        values.fill(NaN);
+      }
       mask |= bit;
       at += HAND;
     }

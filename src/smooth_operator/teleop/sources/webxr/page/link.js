@@ -24,6 +24,7 @@ export class Link extends EventTarget {
     this.stopping = false; // true from a stop on this page until the loop confirms it
     this.tracking = false;
     this.pulses = false; // true if the host will send pulses
+    this.stops = []; // buttons of controllers that stop the robot
     this.skipped = 0;
     this.sent = [];
     this.rounds = [];
@@ -71,6 +72,7 @@ export class Link extends EventTarget {
     if (message.type === 'welcome') {
       this.tries = 0;
       this.pulses = message.pulses;
+      this.stops = message.stops;
       this.become('linked');
       this.pinging = setInterval(() => this.ping(), PING_EVERY);
       this.ping();
@@ -95,6 +97,12 @@ export class Link extends EventTarget {
     this.stopping = true;
     if (this.state === 'linked') this.socket.send(JSON.stringify({ type: 'stop' }));
     this.dispatchEvent(new Event('change'));
+  }
+
+  /** A button of a controller was pressed. */
+  press(name) {
+    if (this.stops.includes(name)) this.stop();
+    else if (this.state === 'linked') this.socket.send(JSON.stringify({ type: 'button', name }));
   }
 
   ping() {

@@ -52,7 +52,7 @@ function show() {
     ? `${headline}: ${remedy}.`
     : running
     ? 'The page sends your hands. The robot holds when you end tracking.'
-    : link.state === 'linked' ? 'Put the controllers down, then press Start.' : 'Pair first.';
+    : link.state === 'linked' ? 'Press Start, then show your hands or hold the controllers.' : 'Pair first.';
   part('mode').hidden = running || modes.length < 2;
   part('rate').textContent = running ? link.rate : '–';
   part('arrived').textContent = link.arrived === null ? '–' : Math.round(link.arrived);
@@ -60,7 +60,8 @@ function show() {
   part('skipped').textContent = link.skipped;
   for (const side of ['left', 'right']) {
     const seen = tracking.hands[side] !== null;
-    part(side).textContent = !running ? '–' : seen ? 'seen' : 'not seen';
+    const name = tracking.hands.held[side] ? tracking.controllers.preset(side) : 'seen';
+    part(side).textContent = !running ? '–' : seen ? name : 'not seen';
     part(side).dataset.kind = !running ? 'idle' : seen ? 'good' : 'bad';
   }
   const text = [trouble, linkTrouble()].filter(Boolean).join(' ');

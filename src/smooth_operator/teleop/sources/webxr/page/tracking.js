@@ -1,5 +1,6 @@
 // The immersive session: start, frames, end.
 
+import { Controllers } from './controllers.js';
 import { Hands } from './hands.js';
 import { Robot } from './robot.js';
 import { Scene } from './scene.js';
@@ -34,20 +35,28 @@ export class Tracking extends EventTarget {
   constructor(link) {
     super();
     this.link = link;
-    this.hands = new Hands();
     this.robot = new Robot(link);
+    this.controllers = new Controllers((name) => link.press(name));
+    this.hands = new Hands(this.controllers);
     this.session = null;
     this.since = 0;
     this.lastSeen = 0;
     link.addEventListener('pulse', (event) => this.pulse(event.detail));
   }
 
-  /** Let the controllers of a side vibrate, also those beside tracked hands. */
-  pulse({ side, strength, seconds }) {
+  /** The controllers, also those beside tracked hands. */
+  get sources() {
     const { inputSources = [], trackedSources = [] } = this.session ?? {};
-    for (const { handedness, gamepad } of [...inputSources, ...trackedSources]) {
+    return [...inputSources, ...trackedSources].filter(
+      ({ gamepad, handedness, hand }) => gamepad && !hand && handedness !== 'none',
+    );
+  }
+
+  /** Let the controllers of a side vibrate. */
+  pulse({ side, strength, seconds }) {
+    for (const { handedness, gamepad } of this.sources) {
       if (handedness !== side) continue;
-      for (const actuator of gamepad?.hapticActuators ?? []) {
+      for (const actuator of gamepad.hapticActuators ?? []) {
         Promise.resolve(actuator.pulse(strength, 1000 * seconds)).catch(() => {});
       }
     }
@@ -58,12 +67,11 @@ export class Tracking extends EventTarget {
     let session;
     try {
       session = await navigator.xr.requestSession(mode, {
-        requiredFeatures: ['hand-tracking'],
         // Controllers beside tracked hands cost power (immersive-web/webxr, issue 1430).
-        optionalFeatures: ['local-floor', ...(this.link.pulses ? ['tracked-sources'] : [])],
+        optionalFeatures: ['hand-tracking', 'local-floor', ...(this.link.pulses ? ['tracked-sources'] : [])],
       });
     } catch (error) {
-      throw new Trouble(`The headset does not track hands (${error.message || error.name}). Turn hand tracking on in its settings, allow it when the browser asks, and press Start again.`);
+      throw new Trouble(`The headset does not start (${error.message || error.name}). Allow immersive mode and hand tracking when the browser asks, and press Start again.`);
     }
     try {
       const gl = document.createElement('canvas').getContext('webgl2', { xrCompatible: true, alpha: true });
@@ -105,8 +113,9 @@ export class Tracking extends EventTarget {
 
   step(frame) {
     // Hands first: drawing must not delay them.
-    const message = this.hands.read(frame, this.space, performance.now() / 1000, this.floor);
-    this.link.send(message);
+    const now = performance.now() / 1000;
+    this.link.send(this.hands.read(frame, this.space, now, this.floor));
+    for (const source of this.sources) this.controllers.update(source, now);
     this.robot.ask();
     const seen = [this.hands.left, this.hands.right].filter(Boolean);
     if (seen.length) this.lastSeen = performance.now();
@@ -130,18 +139,20 @@ export class Tracking extends EventTarget {
     const [kind, ...lines] = loopState(link) ?? [];
     if (kind) return { kind, lines };
     if (performance.now() - Math.max(this.lastSeen, this.since) > 2000) {
-      return { kind: 'warn', lines: ['No hands', 'put the controllers down, hold your hands in view'] };
+      return { kind: 'warn', lines: ['No hands', 'hold your hands or the controllers in view'] };
     }
     const trip = link.lastTrip === null ? '–' : (1000 * link.lastTrip).toFixed(0);
-    return { kind: 'good', lines: ['Linked', `${link.rate} Hz · round trip ${trip} ms`] };
+    const held = ['left', 'right'].filter((side) => this.hands.held[side]);
+    const presets = held.map((side) => `${side} ${this.controllers.preset(side)}`);
+    return { kind: 'good', lines: [presets.join(' · ') || 'Linked', `${link.rate} Hz · round trip ${trip} ms`] };
   }
 }
 
 /** [kind, headline, remedy] while the loop holds the robot on purpose, else null. */
 export function loopState(link) {
-  if (link.mode === 'stopped') return ['bad', 'STOPPED', 'press U at the computer to release'];
+  if (link.mode === 'stopped') return ['bad', 'STOPPED', 'release it at the computer'];
   if (link.stopping) return ['bad', 'Stopping …', 'not confirmed yet'];
-  if (link.mode === 'paused') return ['warn', 'Paused', 'press P at the computer to resume'];
+  if (link.mode === 'paused') return ['warn', 'Paused', 'the robot holds'];
   if (link.mode === 'compiling') return ['warn', 'Compiling the method', 'the robot holds'];
   return null;
 }
