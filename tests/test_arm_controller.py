@@ -1,6 +1,7 @@
 """Arms: their kinematics against the makers' figures, and a controller that keeps every limit."""
 
 import runpy
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from arm_files import so101_urdf
 from live_time import until
 from ticks import KeptTicks
 
@@ -17,6 +19,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.simulation.arms.arm import (
     FLANGE,
+    ArmSpec,
     HandCapsules,
     HandMount,
     arm_spec,
@@ -58,8 +61,8 @@ def _controller(arm: str, hand: str = "mimic_p050", **settings: float) -> ArmCon
     return ArmController(ARMS[arm], _mount(_hand(arm, hand), arm), **settings)
 
 
-def _flange(arm: str, q: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    model = arm_spec(ARMS[arm]).compile()
+def _flange(arm: str | ArmSpec, q: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    model = arm_spec(ARMS[arm] if isinstance(arm, str) else arm).compile()
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
@@ -132,6 +135,44 @@ def test_an_so101_and_its_gripper_are_those_of_its_makers_urdf(q, expected):
     between_jaws = (-0.0079, -0.000218121, -0.0981274)  # turned by pi about y, in the file
     pose = pose_of(palm @ rigid(np.diag([-1.0, 1.0, -1.0]), between_jaws))
     np.testing.assert_allclose(pose, expected, atol=1e-5)
+
+
+def test_an_arm_of_the_user_is_a_urdf_and_a_link(tmp_path):
+    path = tmp_path / "my_arm.urdf"
+    path.write_text(so101_urdf())
+    arm = read_arm(f"{path}:tip=wrist_roll_link,posture=0/-34/40/57/0").spec
+    catalogue = ARMS["so101"]
+    assert (arm.name, arm.joint_names) == ("my_arm", catalogue.joint_names)
+    np.testing.assert_allclose(arm.nominal, np.radians([0, -34, 40, 57, 0]))
+    np.testing.assert_allclose(arm.limits, np.tile([-3.0, 3.0], (5, 1)))
+    np.testing.assert_allclose(arm.velocity, 10.0)
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(-1.5, 1.5, (5, 5)):
+        there, turned = _flange(catalogue, q)
+        place, turn = _flange(arm, q)
+        np.testing.assert_allclose(place, there, atol=1e-6)
+        np.testing.assert_allclose(turn @ np.diag([-1.0, 1.0, -1.0]), turned, atol=1e-5)
+    controller = ArmController(arm, HandMount(load_hand("franka_hand")))
+    home = controller.pose
+    for _ in range(150):
+        command = controller.step(home + np.array([0.03, 0, 0.02, 0, 0, 0, 0]), STEP)
+    assert command.position_error < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (":tip=nowhere", r"expected tip=LINK, .* the links are base, shoulder_pan_link"),
+        ("", "expected tip=LINK"),
+        (":tip=wrist_roll_link,posture=0/east", "posture must be degrees, such as 0/-45/60"),
+        (":tip=wrist_roll_link,posture=0/1", "expected 5 nominal positions, not 2"),
+    ],
+)
+def test_a_wrong_setting_of_an_own_arm_is_refused(tmp_path, settings, message):
+    path = tmp_path / "my_arm.urdf"
+    path.write_text(so101_urdf())
+    with pytest.raises(ConfigError, match=message):
+        read_arm(f"{path}{settings}").spec  # noqa: B018
 
 
 def test_an_unknown_arm_is_named_with_those_that_there_are():
@@ -378,7 +419,7 @@ def test_one_command_moves_two_arms_with_their_hands():
 def test_settings_of_an_arm_are_read_and_checked():
     assert read_arm("panda") == ArmSettings("panda")
     assert read_arm("ur5e:roll=90,adapter=0.03") == ArmSettings("ur5e", 0.03, 90.0)
-    with pytest.raises(ConfigError, match="panda or ur5e"):
+    with pytest.raises(UnknownNameError, match="Did you mean 'panda'"):
         read_arm("pandora")
     with pytest.raises(UnknownNameError, match="setting"):
         read_arm("panda:rol=90")

@@ -34,7 +34,6 @@ from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys,
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
-from smooth_operator.simulation.arms.catalogue import arm_named
 from smooth_operator.teleop.arm.settings import read_arm
 
 logger = logging.getLogger(__name__)
@@ -77,8 +76,8 @@ class _HandActions:
         self._gripper = Gripper(by) if by else None
         self._given: Mapping[str, str] | None = joints or None
         if not joints and config.arm:
-            arm = arm_named(read_arm(config.arm).name)
-            self._given = {f"{ARM_PREFIX}{name}": name for name in arm.joint_names}
+            names = read_arm(config.arm).spec.joint_names
+            self._given = {f"{ARM_PREFIX}{name}": name for name in names}
         elif not joints and by:
             self._given = {}
         self._expected = () if self._given is not None else _model_joints(side, config)

@@ -37,8 +37,9 @@ class TeleopRequest(MethodRequest):
 
     arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Arm that carries the hand and follows the operator's wrist (arm extra): panda, ur5e, xarm7,
-    iiwa14 or so101. Settings: adapter=0.02 [m], roll=90 [degrees], spacing=1.0 between two arms,
-    table=0.0 [m], no_table=true, collisions=false (docs/robots/arms.md)."""
+    iiwa14, so101, or a URDF or MJCF file with tip=LINK. Settings: adapter=0.02 [m], roll=90
+    [degrees], spacing=1.0 between two arms, table=0.0 [m], no_table=true, collisions=false
+    (docs/robots/arms.md)."""
 
     wrist_joints: WristJointChoice = "auto"
     """Whether the robot hand's wrist joints, if it has any, follow the operator's wrist

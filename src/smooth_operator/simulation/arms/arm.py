@@ -129,11 +129,12 @@ class ArmSpec:
         flange: frame of the flange, whose z points out of it, in that of the last link.
         base: capsules of the base, in its frame: z up, x forward.
         nominal: (n,) preferred joint positions [rad].
-        home: (3,) initial position of the hand's wrist in the base frame [m].
-        pitch: downward tilt of the fingers there [rad].
-        roll: rotation of a hand about the flange's z with which its back points up there [rad].
         reach: reach of the flange in the data sheet [m].
         sources: sources of the figures.
+        home: (3,) initial position of the hand's wrist in the base frame [m]; None to start in the
+            nominal posture.
+        pitch: downward tilt of the fingers there [rad].
+        roll: rotation of a hand about the flange's z with which its back points up there [rad].
         back: additional distance of the base from a task, for hands whose fingers are level at home
             [m].
         notes: which figures are not the maker's.
@@ -147,11 +148,11 @@ class ArmSpec:
     flange: Place
     base: tuple[Capsule, ...]
     nominal: tuple[float, ...]
-    home: Point
-    pitch: float
-    roll: float
     reach: float
     sources: tuple[str, ...]
+    home: Point | None = None
+    pitch: float = 0.0
+    roll: float = 0.0
     back: float = 0.0
     notes: tuple[str, ...] = field(default=())
     gripper: tuple[str, Place] | None = None
@@ -207,6 +208,7 @@ ARM_PREFIX: Final = "arm/"
 _WHITE: Final = (0.86, 0.87, 0.88, 1.0)
 _GREY: Final = (0.45, 0.47, 0.5, 1.0)
 _HANDS: Final = 0xFFFF  # collides with hands, objects and the table, not with itself
+_POINT: Final = 1e-6  # length below which a capsule is a sphere [m]
 _ROTOR: Final = 0.1  # inertia of a geared motor [kg m^2]; MuJoCo Menagerie's Panda and UR5e have it
 
 
@@ -311,10 +313,12 @@ def _add_capsules(
 ) -> None:
     lengths = [np.linalg.norm(np.subtract(c.end, c.start)) + c.radius for c in capsules]
     for number, (capsule, length) in enumerate(zip(capsules, lengths, strict=True)):
+        sphere = length - capsule.radius < _POINT
+        shape = {"pos": capsule.start} if sphere else {"fromto": (*capsule.start, *capsule.end)}
         body.add_geom(
             name=f"{name}_{number}",
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=(*capsule.start, *capsule.end),
+            type=mujoco.mjtGeom.mjGEOM_SPHERE if sphere else mujoco.mjtGeom.mjGEOM_CAPSULE,
+            **shape,
             size=(capsule.radius, 0.0, 0.0),
             mass=mass * float(length / sum(lengths)),
             rgba=color,

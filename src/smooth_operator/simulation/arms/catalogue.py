@@ -174,9 +174,6 @@ _SO101: Final = ArmSpec(
     flange=(0, 0, 0, 0, 0, 1, 0),
     base=(Capsule((0.02, -0.02, 0.04), (0.02, 0.02, 0.04), 0.04),),
     nominal=(0.0, -0.6, 0.7, 1.0, 0.0),
-    home=(0.202, 0.0, 0.225),
-    pitch=_DOWN,
-    roll=0.0,
     reach=0.39,
     sources=("github.com/TheRobotStudio/SO-ARM100 at fda892cba810 (Apache-2.0), "
              "Simulation/SO101/so101_new_calib.urdf: frames, ranges, masses; the zeros are those "

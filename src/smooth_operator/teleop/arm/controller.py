@@ -25,6 +25,7 @@ from smooth_operator.simulation.arms.arm import (
     HandCapsules,
     HandMount,
     Matrix,
+    Point,
     angle_between,
     arm_spec,
     inverse,
@@ -346,8 +347,7 @@ class ArmController:
     target. If the program has no solution, the arm brakes.
 
     An arm with fewer than six joints can't reach every orientation. It brings the point between the
-    tips of thumb and index finger to its place, and turns the hand as far as it can. Its home is
-    its nominal posture.
+    tips of thumb and index finger to its place, and turns the hand as far as it can.
 
     Not thread-safe: it belongs to the loop.
 
@@ -402,7 +402,7 @@ class ArmController:
         self.limiter = self._limiter(nominal)
         self._before: Matrix | None = None
         self._twist = np.zeros(6)
-        self.home = nominal if self._soft else self._go_home()
+        self.home = nominal if arm.home is None else self._go_home(arm.home)
 
     @property
     def q(self) -> Float[np.ndarray, " n"]:
@@ -560,13 +560,13 @@ class ArmController:
         velocity = np.minimum(config.velocity_share * arm.velocity, config.joint_speed)
         return JointLimiter(arm.limits, velocity, arm.acceleration, start, config.margin)
 
-    def _go_home(self) -> Float[np.ndarray, " n"]:
+    def _go_home(self, place: Point) -> Float[np.ndarray, " n"]:
         """Joint positions of the home pose, reached from the nominal posture by normal steps.
 
         In that pose, the fingers point forward and down, and the back of the hand up.
         """
         half = self.arm.pitch / 2.0
-        pose = np.array([*self.arm.home, np.cos(half), 0.0, np.sin(half), 0.0])
+        pose = np.array([*place, np.cos(half), 0.0, np.sin(half), 0.0])
         for _ in range(_HOME_STEPS):
             command = self.step(pose, _HOME_STEP_S)
             if (
