@@ -1,8 +1,10 @@
 """The robot in a headset's view: its messages, and the page that draws it."""
 
 import base64
+import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,13 @@ from smooth_operator.landmarks import WRIST
 from smooth_operator.own_files import SWITCH
 from smooth_operator.poses import compose, invert, rotate
 from smooth_operator.retargeting.alignment import reference_landmarks
+from smooth_operator.teleop.cameras import Shot
 from smooth_operator.teleop.pages.headset_view import HeadsetView
 from smooth_operator.teleop.pages.live.live_session import Scenery
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.webxr import WebXr
+from smooth_operator.teleop.sources.webxr.link import PICTURE
 from smooth_operator.types import HandFrame, Side
 
 CODE = "246810"
@@ -46,6 +50,7 @@ class Session:
         }
         self.seen: Arrival | None = None
         self.trouble: Exception | None = None
+        self.cameras: Any = None
         self._scenery = None if simulation is None else Scenery(simulation)
 
     def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
@@ -260,14 +265,64 @@ def opened(source: WebXr, chromium: Any, emulator: str) -> Any:
 
 
 def share(page: Any, color: str) -> float:
-    """Share of the lower part of the picture, below the stop button, that has a colour."""
-    shot = picture(page, 480, 640)[320:]
+    """Share of the picture below the stop button that has a colour."""
+    shot = picture(page, 480, 640)[280:]
     red, green, blue = np.moveaxis(shot, -1, 0)
     kinds = {
         "red": (red > 90) & (np.maximum(green, blue) < 0.4 * red),
+        "green": (green > 120) & (np.maximum(red, blue) < 0.5 * green),
         "any": shot.max(axis=-1) > 60,
     }
     return float(kinds[color].mean())
+
+
+class GreenPictures:
+    """Two cameras: a green picture, and one that has none yet."""
+
+    def __init__(self) -> None:
+        from PIL import Image
+
+        jpeg = io.BytesIO()
+        Image.new("RGB", (64, 48), (20, 220, 60)).save(jpeg, "JPEG")
+        self.taken = Shot(3, 0.0, jpeg.getvalue())
+        self.delay = 0.0
+
+    def states(self, now: float) -> list[dict[str, Any]]:
+        self.taken = replace(self.taken, number=self.taken.number + 1, time=now - self.delay)
+        state = {"number": self.taken.number, "time": self.taken.time, "lost": False}
+        return [{"name": "wrist", **state}, {"name": "head", "number": 0, "lost": True}]
+
+    def shot(self, camera: int) -> Shot | None:
+        return None if camera else self.taken
+
+
+def test_a_picture_is_sent_with_its_time(hand):
+    session = Session(hand)
+    view = view_of(session, hand)
+    assert view.picture(0) is None
+    session.cameras = GreenPictures()
+    wrist, head = view.look(0)["cameras"]
+    assert (wrist["name"], head["lost"]) == ("wrist", True)
+    message = view.picture(0)
+    assert PICTURE.unpack_from(message) == (0, wrist["number"], wrist["time"])
+    assert message[PICTURE.size :] == session.cameras.taken.jpeg
+    for camera in (1, "0", None, [0]):
+        assert view.picture(camera) is None
+
+
+@pytest.mark.browser
+def test_pictures_hang_in_front_and_a_late_one_is_dimmed(source, chromium, emulator, hand):
+    session = Session(hand)
+    session.cameras = GreenPictures()
+    page = opened(source, chromium, emulator)
+    choose(page, "hidden")
+    source.show(view_of(session, hand))
+    eventually(lambda: share(page, "green") > 0.01)
+    session.cameras.delay = 2.0
+    eventually(lambda: share(page, "green") < 0.001)
+    session.cameras.delay = 0.0
+    eventually(lambda: share(page, "green") > 0.01)
+    page.context.close()
 
 
 def choose(page: Any, place: str) -> None:

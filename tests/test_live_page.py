@@ -693,6 +693,8 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
         "instruction": f"{ATTACK} instruction",
     }
     seen["hands"]["right"]["wrist"] = {"engaged": True, "released": False, "tracked": False}
+    camera = {"name": f"{ATTACK} camera", "number": 1, "age_s": 0.1, "lost": False, "jpeg": "/9j/"}
+    seen["cameras"] = [camera]
     hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
     with serving() as server, guarded_page(chromium) as page:
         scene = LiveScene(server, hands, False)
@@ -701,7 +703,16 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
         panel.show(seen)
         panel.show_meshes(False, f"{ATTACK} note")
         page.goto(page_url("127.0.0.1", server))
-        shown = ("label", "detail", "message", "title", "instruction", "recording", "latched")
+        shown = (
+            "label",
+            "detail",
+            "message",
+            "title",
+            "instruction",
+            "recording",
+            "latched",
+            "camera",
+        )
         for word in shown:
             page.get_by_text(f"{ATTACK} {word}").first.wait_for()
         for word in ("event", "reason", "stage", "sink", "of a sink"):

@@ -47,6 +47,7 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 a source, sink 
 be opened, 130 stopped by Ctrl-C or another signal."""
     rare: ClassVar[frozenset[str]] = frozenset(
         {
+            "camera",
             "port",
             "pedal",
             "wrist_source",
@@ -91,6 +92,10 @@ be opened, 130 stopped by Ctrl-C or another signal."""
 
 def teleop(options: Teleop) -> None:
     """Runs a teleoperation, with keys in the terminal and progress on standard error."""
+    if any(camera.partition(",")[0] == "mujoco" for camera in options.camera):
+        from smooth_operator.simulation.renderer import draw_off_screen
+
+        draw_off_screen()
     from smooth_operator.cli.console import Progressing
     from smooth_operator.retargeting.preset_files import method_config
     from smooth_operator.retargeting.start import start_jax

@@ -30,6 +30,11 @@ class TeleopRequest(MethodRequest):
     """Outputs of contact for the operator's fingers: zmq:ADDRESS, udp:HOST:PORT, webxr
     (docs/how-to/feedback.md)."""
 
+    camera: Annotated[tuple[str, ...], arg(metavar="CAMERA[,SETTINGS]")] = ()
+    """Cameras whose pictures the page and the headset show (webcam extra): a number or device, the
+    address of an MJPEG stream, or mujoco, which looks at the simulated hand
+    (docs/how-to/live-page.md)."""
+
     task: Literal["card", "cube", "screwdriver"] | None = None
     """Task of the study to simulate around the hand: card pickup, vertical cube rotation or
     screwdriver pivot. Keys: g starts a trial, r resets the object, d ends the trial. --control

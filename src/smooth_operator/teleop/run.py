@@ -79,6 +79,7 @@ from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
     from smooth_operator.teleop.arm.controller import ArmOfHand
+    from smooth_operator.teleop.cameras import Cameras
     from smooth_operator.teleop.pages.live.live_page import LivePage
 
 COMPILES: Final = "compile"
@@ -197,8 +198,17 @@ def teleoperate(
         reporter=reporter,
         started=started,
     )
+    if request.camera and page is None and headset_in(source) is None:
+        raise ConfigError(
+            "--camera shows pictures on the live page or in a headset: remove --no-view, or use "
+            "--source webxr"
+        )
     run.check(page)
-    with ended_by_signals() as ending, _open_page(page, run) as live_page:
+    with (
+        _opened_cameras(run),
+        ended_by_signals() as ending,
+        _open_page(page, run) as live_page,
+    ):
         summary = run.drive(ending, live_page)
         while run.next_request is not None and not ending.came:
             run.take_next()
@@ -227,6 +237,7 @@ class _Run:
     started: Callable[[TeleopLoop], None] | None
     hands: dict[Side, tuple[Hand, MethodConfig]] = field(default_factory=dict)
     arms: dict[Side, ArmOfHand] = field(default_factory=dict)
+    cameras: Cameras | None = None
     next_request: RetargetRequest | None = None
 
     def check(self, page: PageSettings | None) -> None:
@@ -395,6 +406,7 @@ class _Run:
                 change_hand=lambda name: self.change_hand(name, loop, switcher),
                 takes=takes,
                 actions=acts,
+                cameras=self.cameras,
             )
             loop.watch = session.watch
             if page is not None:
@@ -491,6 +503,18 @@ class _Run:
                         seed=self.request.seed,
                         cache=ProgramStore.of_user(),
                     ).warm_up()
+
+
+@contextlib.contextmanager
+def _opened_cameras(run: _Run) -> Iterator[None]:
+    """Opens the cameras of a run."""
+    if not run.teleop.camera:
+        yield
+        return
+    from smooth_operator.teleop.cameras import Cameras
+
+    with Cameras(run.teleop.camera, run.sinks) as run.cameras:
+        yield
 
 
 def _operator(path: Path | None, side: Side) -> OperatorProfile | None:

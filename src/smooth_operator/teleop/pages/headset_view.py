@@ -19,9 +19,11 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import WRIST
 from smooth_operator.poses import IDENTITY, compose, invert, quaternions
 from smooth_operator.teleop.arm.settings import ArmSettings
+from smooth_operator.teleop.cameras import LATE_S
 from smooth_operator.teleop.pages.live.live_scene import HandsScene, palm_fit
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.teleop.sources.webxr.link import PICTURE
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
@@ -218,6 +220,9 @@ class HeadsetView:
                 message["nodes"] = nodes.describe()
                 message["middle"] = [round(x, 4) for x in self._scene.centre.tolist()]
             message["changed"], message["values"] = nodes.changes()
+            if (cameras := self._session.cameras) is not None:
+                message["cameras"] = cameras.states(time.perf_counter())
+                message["late_s"] = LATE_S
             message["hands"] = {side: self._hand(side, state["hands"]) for side in self._hands}
         except Exception as error:  # the link must go on because of its stop
             trouble = f"the headset's page can't draw the run: {type(error).__name__}: {error}"
@@ -226,6 +231,14 @@ class HeadsetView:
                 print_note(f"note: {trouble}")
             return {"type": "view", "number": 0}
         return message
+
+    def picture(self, camera: object) -> bytes | None:
+        """Returns the newest picture of a camera: its number and time in ``PICTURE``, and the
+        JPEG."""
+        cameras = self._session.cameras
+        if cameras is None or not isinstance(camera, int) or (shot := cameras.shot(camera)) is None:
+            return None
+        return PICTURE.pack(camera, shot.number, shot.time) + shot.jpeg
 
     def _hand(self, side: Side, states: Mapping[Side, Mapping[str, Any]]) -> dict[str, Any]:
         """Frame, name and state of a hand; the pose of its palm in the frame of the operator's

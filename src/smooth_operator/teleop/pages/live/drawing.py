@@ -110,7 +110,9 @@ class LiveDrawing:
             begun = time.monotonic()
             watched = bool(self._server.get_clients())
             text = watched and begun >= next_text
-            state = self._link.look(text=text, scenery=self._scene.scenery_number)
+            state = self._link.look(
+                text=text, scenery=self._scene.scenery_number, pictures=self._panel.pictures
+            )
             try:
                 if "setup" in state:
                     self._change(state["setup"])

@@ -86,7 +86,7 @@ class LoopLink:
         """Sends the action of a click."""
         self._link.send({"do": [name, *values]})
 
-    def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
+    def look(self, *, text: bool, scenery: int, pictures: Sequence[int]) -> dict[str, Any]:
         """Asks for the state.
 
         Returns:
@@ -96,7 +96,7 @@ class LoopLink:
         Raises:
             LoopEnded: the loop has ended.
         """
-        self._link.send({"look": {"text": text, "scenery": scenery}})
+        self._link.send({"look": {"text": text, "scenery": scenery, "pictures": pictures}})
         if (answer := self._answers.get()) is None:
             raise LoopEnded
         return answer

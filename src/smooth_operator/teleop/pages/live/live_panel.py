@@ -49,6 +49,7 @@ class LivePanel:
         self._blind = blind
         self._keys = {name: label_of(keys, name) for name in ACTIONS}
         self._take: Mapping[str, Any] = {}
+        self._cameras: list[_CameraView] = []
         self._quality: Sequence[TakeQuality] | str = ""
         gui = self._gui = server.gui
         self._set_hands(hands)
@@ -96,6 +97,8 @@ class LivePanel:
         if shown != self._trial.content:
             self._trial.content = shown
             self._trial.visible = bool(shown)
+        if "cameras" in state:
+            self._show_cameras(state["cameras"])
         if "status" in state:
             self._summary.content = live_texts.summary(state["status"])
             self._timing.content = live_texts.timing(state["status"])
@@ -202,6 +205,21 @@ class LivePanel:
             _choose(self._method, list(presets), controls["method"])
             _choose(self._preset, presets[controls["method"]], controls["preset"])
 
+    @property
+    def pictures(self) -> list[int]:
+        """Numbers of the cameras' pictures on show."""
+        return [camera.number for camera in self._cameras]
+
+    def _show_cameras(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Shows the cameras' pictures with their ages, in a panel of their own."""
+        if not self._cameras and states:
+            panel = self._gui.add_panel()
+            with panel.add_tab("Cameras"):
+                self._cameras = [_CameraView(self._gui) for _ in states]
+            panel.dock_left()
+        for view, state in zip(self._cameras, states, strict=True):
+            view.show(state)
+
     def _show_notice(self, notice: str) -> None:
         self._notice.content, self._notice.visible = notice, bool(notice)
 
@@ -239,6 +257,26 @@ class LivePanel:
             quality = f"its quality can't be measured: {error}"
         if files == self._take.get("last"):
             self._quality = quality
+
+
+class _CameraView:
+    """Picture of a camera, and a line with its age."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self.number = 0
+        self._jpeg = ""
+        self._picture, self._line = gui.add_html(""), gui.add_html("")
+
+    def show(self, state: Mapping[str, Any]) -> None:
+        """Shows a state from ``Cameras.states``; a late picture is dimmed."""
+        self.number, self._jpeg = state["number"], state.get("jpeg", self._jpeg)
+        late = live_texts.is_late(state)
+        for handle, content in (
+            (self._picture, live_texts.picture(state["name"], self._jpeg, late)),
+            (self._line, live_texts.camera(state, late)),
+        ):
+            if handle.content != content:
+                handle.content = content
 
 
 def _choose(dropdown: Any, options: list[str], value: str) -> None:

@@ -19,6 +19,7 @@ from smooth_operator.simulation.arms.arm import inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart
 from smooth_operator.simulation.scenes.scene import Mount
+from smooth_operator.teleop.cameras import Cameras
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.switches import actions as loop_actions
 from smooth_operator.teleop.recording.takes import Takes
@@ -54,6 +55,7 @@ class LiveSession:
         other_hands: names for ``change_hand``.
         takes: recordings of the operator; None for new ones.
         actions: actions of the operator's inputs; None for those of the loop alone.
+        cameras: cameras whose pictures the pages show; None without cameras.
     """
 
     def __init__(
@@ -70,8 +72,10 @@ class LiveSession:
         other_hands: Sequence[str] = (),
         takes: Takes | None = None,
         actions: Mapping[str, Callable[[], None]] | None = None,
+        cameras: Cameras | None = None,
     ) -> None:
         self.loop = loop
+        self.cameras = cameras
         self._other_hands = list(other_hands)
         self._trial = trial
         self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
@@ -141,12 +145,16 @@ class LiveSession:
         """True if an emergency stop holds a hand, now or as of the loop's next command."""
         return self._stopping or any(p.supervisor.stopped for p in self.loop.pipelines.values())
 
-    def look(self, *, text: bool, scenery: int = 0) -> dict[str, Any]:
+    def look(
+        self, *, text: bool, scenery: int = 0, pictures: Sequence[int] | None = None
+    ) -> dict[str, Any]:
         """Returns the state for the page, as JSON values.
 
         Args:
             text: include statistics and controls.
             scenery: number of the task scene whose shapes the page already has.
+            pictures: numbers of the cameras' pictures that the page already has; None for no
+                pictures.
         """
         if self._next_hand:  # source and sinks end now, which is not a failure
             return {
@@ -162,6 +170,8 @@ class LiveSession:
             shown["trial"] = dict(trial)
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
+        if self.cameras is not None and pictures is not None:
+            shown["cameras"] = self.cameras.states(now, pictures)
         if not self._ticks:  # nor have source and sinks started
             shown["notice"] = "starting"
         elif text:

@@ -10,6 +10,7 @@ from pathlib import PurePath
 from typing import Any, Final
 
 from smooth_operator.errors import counted
+from smooth_operator.teleop.cameras import LATE_S
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css, finger_colors
 
 _SLOW_S: Final = 0.25
@@ -46,6 +47,21 @@ def timing(status: Mapping[str, Any]) -> str:
     # The total comes last: it is the sum of the stages after the arrival.
     stages = sorted(status["stages"].items(), key=lambda item: item[0] == "total")
     return str(_macros().timing(status, stages, refused))
+
+
+def is_late(camera: Mapping[str, Any]) -> bool:
+    """True if a camera's picture is too old to work by; see ``Cameras.states``."""
+    return not camera.get("age_s", LATE_S) < LATE_S
+
+
+def picture(name: str, jpeg: str, late: bool) -> str:
+    """Picture of a camera (JPEG in base64), dimmed if it is late; empty without one."""
+    return str(_macros().picture(name, jpeg, late)) if jpeg else ""
+
+
+def camera(state: Mapping[str, Any], late: bool) -> str:
+    """Name and age of a camera's picture."""
+    return str(_macros().camera(state, late))
 
 
 def slow(delay: float) -> str:

@@ -153,7 +153,11 @@ def open_camera(name: int | str, width: int, height: int, rate: float) -> Captur
         SourceError: there is no such camera, or it delivers no picture.
     """
     cv2 = opencv()
-    capture = cv2.VideoCapture(name)
+    if isinstance(name, str) and "://" in name:  # by default, a lost stream blocks for 30 s
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 3000]
+        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, limits)
+    else:
+        capture = cv2.VideoCapture(name)
     if capture.isOpened():
         for key, value in (
             (cv2.CAP_PROP_FRAME_WIDTH, width),
@@ -194,7 +198,7 @@ def _advice(cv2: Any, name: int | str) -> str:
     elif sys.platform == "win32":
         advice += " Allow desktop apps to use the camera: Settings, Privacy & security, Camera."
     if name == 0:
-        advice += " For another camera, use webcam:1 and so on; without a camera, use video:FILE."
+        advice += " Another camera has the number 1 or more; the source video:FILE needs none."
     return advice
 
 

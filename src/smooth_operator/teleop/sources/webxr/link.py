@@ -11,6 +11,7 @@ from page    content                                                            
 ``stop``     nothing; the page repeats it until ``pong`` has the mode *stopped*
 ``look``     ``number`` of the shapes that the page has; 0 for none                    ``view``
 ``button``   ``name`` of a button of a controller that was pressed: ``a``, ``left-stick``
+``picture``  ``camera``: its place in ``cameras`` of ``view``                          ``PICTURE``
 ===========  ========================================================================  ============
 
 ``welcome`` contains the ``session``; ``stops``, the buttons that stop the robot, for which the page
@@ -33,7 +34,9 @@ of a mesh for each instance its pose, three scales and linear red, green and blu
 if it is hidden. ``hands`` are the robot hands by side: ``node`` (the frame of the palm), ``name``,
 ``mode``, ``latched`` (fingers that pinch) and, while the operator's hand is seen, ``palm``, the
 pose of the robot's palm in the frame of the operator's wrist joint, and ``size``, that of the robot
-over the operator's. The page sends ``look`` after the answer to the previous one.
+over the operator's. ``cameras`` are the states of the cameras, as ``Cameras.states`` gives them,
+and a picture older than ``late_s`` is late. The page sends ``look`` after the answer to the
+previous one.
 
 The first message must be ``hello``. A refused connection is closed with one of the codes below.
 """
@@ -72,6 +75,9 @@ NOT_UNDERSTOOD: Final = 4400
 WRONG_CODE: Final = 4401
 REPLACED: Final = 4409
 LOCKED: Final = 4429
+
+PICTURE: Final = struct.Struct("<IId")
+"""Head of a picture, before the JPEG: camera, number, time by the host's clock [s]."""
 
 _HELLO_WITHIN: Final = 5.0
 _BAD_IN_A_ROW: Final = 50  # unreadable messages after which the link is closed
@@ -113,6 +119,9 @@ class View(Protocol):
 
     def look(self, number: object) -> Mapping[str, Any]:
         """Returns the message ``view`` for a page that has the shapes with a number."""
+
+    def picture(self, camera: object) -> bytes | None:
+        """Returns the newest picture of a camera, after its ``PICTURE``; None without one."""
 
 
 class Link:
@@ -270,6 +279,11 @@ class Link:
             return
         if content.get("type") == "button":
             self._mailbox.press(f"button:{content.get('name')}")
+            return
+        if content.get("type") == "picture":
+            picture = self.view and self.view.picture(content.get("camera"))
+            if picture is not None:
+                await connection.send(picture)
             return
         at = content.get("at")
         if content.get("type") != "ping" or not isinstance(at, int | float):

@@ -8,7 +8,8 @@ const ROUNDS = 50; // last pings, of which the fastest gives the offset
 const BACKOFF = [250, 500, 1000, 2000, 4000]; // ms
 const FINAL = new Set([4400, 4401, 4409, 4429]); // codes after which a new try is useless
 
-/** Events: "change" after each change of its state; "pulse" for the controllers, "view" for the scene. */
+/** Events: "change" after each change of its state; "pulse" for the controllers, "view" and "picture" for the
+ * scene. */
 export class Link extends EventTarget {
   constructor() {
     super();
@@ -50,7 +51,10 @@ export class Link extends EventTarget {
       this.everOpened = true;
       socket.send(JSON.stringify({ type: 'hello', protocol: PROTOCOL, code: this.code }));
     };
-    socket.onmessage = (event) => this.hear(JSON.parse(event.data));
+    socket.onmessage = (event) => {
+      if (typeof event.data === 'string') this.hear(JSON.parse(event.data));
+      else this.dispatchEvent(new CustomEvent('picture', { detail: event.data }));
+    };
     socket.onclose = (event) => {
       if (this.socket === socket) this.end(event);
     };

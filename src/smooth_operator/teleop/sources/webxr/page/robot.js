@@ -64,7 +64,7 @@ export class Robot {
     if (link.state !== 'linked') this.number = 0; // the next host may count anew
     const now = performance.now();
     const due = now - this.asked > (this.waiting ? GIVE_UP : LOOK_EVERY);
-    if (!due || link.state !== 'linked' || this.place === 'hidden') return;
+    if (!due || link.state !== 'linked') return;
     this.asked = now;
     this.waiting = true;
     link.ask({ type: 'look', number: this.number });

@@ -33,13 +33,16 @@ export class Scene {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {import('./robot.js').Robot} robot
+   * @param {import('./panels.js').Panels} panels
    */
-  constructor(gl, robot) {
+  constructor(gl, robot, panels) {
     this.gl = gl;
     this.dots = program(gl, DOTS, DOT);
     this.signs = new Signs(gl);
     this.robot = robot;
+    this.panels = panels;
     robot.open(gl);
+    panels.open(gl);
     this.joints = gl.createBuffer();
     this.points = new Float32Array(2 * JOINTS * 7);
     [this.ink, this.words] = picture(gl, 1024, 256);
@@ -67,7 +70,8 @@ export class Scene {
     this.write(look.board);
     const head = viewer.transform.matrix;
     const board = times(head, move(BOARD_PLACE));
-    const drawn = this.robot.settle(look.sides, head, this.settle(head));
+    const desk = this.settle(head);
+    const drawn = this.robot.settle(look.sides, head, desk);
     gl.enable(gl.DEPTH_TEST);
     for (const view of viewer.views) {
       const port = layer.getViewport(view);
@@ -77,6 +81,7 @@ export class Scene {
       const lens = view.projectionMatrix;
       if (drawn) this.robot.draw(matrix, lens);
       this.signs.use(matrix, lens);
+      this.panels.draw(this.signs, desk);
       if (drawn) this.robot.label(this.signs, head);
       this.signs.show(this.words, board, BOARD_SIZE);
       this.signs.show(this.disc, button, [2 * RADIUS, 2 * RADIUS]);

@@ -2,6 +2,7 @@
 
 import { Controllers } from './controllers.js';
 import { Hands } from './hands.js';
+import { Panels } from './panels.js';
 import { Robot } from './robot.js';
 import { Scene } from './scene.js';
 import { StopButton } from './stop_button.js';
@@ -38,6 +39,7 @@ export class Tracking extends EventTarget {
     this.robot = new Robot(link);
     this.controllers = new Controllers((name) => link.press(name));
     this.hands = new Hands(this.controllers);
+    this.panels = new Panels(link);
     this.session = null;
     this.since = 0;
     this.lastSeen = 0;
@@ -77,7 +79,7 @@ export class Tracking extends EventTarget {
       const gl = document.createElement('canvas').getContext('webgl2', { xrCompatible: true, alpha: true });
       if (!gl) throw new Trouble('This browser has no WebGL 2, which an immersive session needs.');
       await gl.makeXRCompatible();
-      this.scene = new Scene(gl, this.robot);
+      this.scene = new Scene(gl, this.robot, this.panels);
       this.button = new StopButton(() => this.link.stop());
       this.layer = new XRWebGLLayer(session, gl);
       session.updateRenderState({ baseLayer: this.layer });
