@@ -988,3 +988,31 @@ def test_a_headset_without_hands_is_told_why(host, chromium, emulator):
     page.get_by_role("alert").get_by_text("Allow immersive mode and hand tracking").wait_for()
     assert host.mailbox.received == 0
     page.context.close()
+
+
+class LargePictures:
+    """A view whose pictures are more than a link takes at once."""
+
+    def look(self, number: object) -> dict[str, Any]:
+        return {"type": "view", "number": number}
+
+    def picture(self, camera: object) -> bytes:
+        return bytes(8_000_000)
+
+
+def test_pictures_that_a_slow_link_has_not_taken_do_not_delay_a_stop(host):
+    stops: list[bool] = []
+    host.mailbox.stop = lambda: stops.append(True)
+    link = host.connect(max_queue=1, max_size=None)  # reads one message ahead
+    link.send(json.dumps({"type": "hello", "protocol": 1, "code": CODE}))
+    assert json.loads(link.recv(PATIENCE_S))["type"] == "welcome"
+    link.send(json.dumps({"type": "look", "number": 5}))
+    assert json.loads(link.recv(PATIENCE_S)) == {"type": "view", "number": 0}  # there is no robot
+    host.source.show(LargePictures())
+    for _ in range(5):
+        link.send(json.dumps({"type": "picture", "camera": 0}))
+    link.send(json.dumps({"type": "stop"}))
+    eventually(lambda: stops)
+    assert len(link.recv(PATIENCE_S)) == 8_000_000
+    link.socket.shutdown(socket.SHUT_RDWR)
+    link.close()

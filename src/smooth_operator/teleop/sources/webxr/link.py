@@ -80,6 +80,7 @@ PICTURE: Final = struct.Struct("<IId")
 """Head of a picture, before the JPEG: camera, number, time by the host's clock [s]."""
 
 _HELLO_WITHIN: Final = 5.0
+_MOST_ANSWERS: Final = 16  # that a slow link has not taken yet
 _BAD_IN_A_ROW: Final = 50  # unreadable messages after which the link is closed
 _RATE_OVER: Final = 1.0
 
@@ -146,7 +147,7 @@ class Link:
         self._received: deque[float] = deque(maxlen=512)
         self._sources: dict[Side, bool] = {}  # True if the last hand was that of a controller
         self._changes = Counter[Side]()  # of these
-        self._farewells: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
 
     @property
     def state(self) -> LinkState:
@@ -194,7 +195,7 @@ class Link:
                 if isinstance(message, bytes):
                     self._hands(message, received)
                 else:
-                    await self._talk(connection, message, received)
+                    self._talk(connection, message, received)
                 if self._bad_in_a_row >= _BAD_IN_A_ROW:
                     await connection.close(NOT_UNDERSTOOD, "messages that can't be read")
         except ConnectionClosed as closed:
@@ -235,9 +236,7 @@ class Link:
         self._next = None
         if old is not None:
             # On its own: a headset that is asleep must not keep the new one waiting.
-            farewell = asyncio.create_task(old.close(REPLACED, "another headset took over"))
-            self._farewells.add(farewell)
-            farewell.add_done_callback(self._farewells.discard)
+            self._keep(asyncio.create_task(old.close(REPLACED, "another headset took over")))
 
     def _begin(self, address: str | None) -> None:
         """Resets the state for a new page."""
@@ -267,7 +266,7 @@ class Link:
             session = self._state.session + self._changes[frame.side]
             self._mailbox.post(frame, received=received, session=session)
 
-    async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
+    def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
         content = json_object(message) or {}
         if content.get("type") == "stop":
             self._mailbox.stop()
@@ -275,15 +274,15 @@ class Link:
         if content.get("type") == "look":
             nothing = {"type": "view", "number": 0}
             view = nothing if self.view is None else self.view.look(content.get("number"))
-            await connection.send(json.dumps(view))
+            self._answer(connection, json.dumps(view))
             return
         if content.get("type") == "button":
             self._mailbox.press(f"button:{content.get('name')}")
             return
         if content.get("type") == "picture":
-            picture = self.view and self.view.picture(content.get("camera"))
+            picture = None if self.view is None else self.view.picture(content.get("camera"))
             if picture is not None:
-                await connection.send(picture)
+                self._answer(connection, picture)
             return
         at = content.get("at")
         if content.get("type") != "ping" or not isinstance(at, int | float):
@@ -300,7 +299,25 @@ class Link:
             "rate": round(self._rate(), 1),
             "mode": self._mailbox.mode(),
         }
-        await connection.send(json.dumps(answer))
+        self._answer(connection, json.dumps(answer))
+
+    def _answer(self, connection: ServerConnection, content: str | bytes) -> None:
+        """Sends without a wait, so that pictures on a slow link don't delay the page's next stop; a
+        link that is far behind gets no answer."""
+
+        async def send() -> None:
+            from websockets.exceptions import ConnectionClosed
+
+            with contextlib.suppress(ConnectionClosed):
+                await connection.send(content)
+
+        if len(self._tasks) < _MOST_ANSWERS:
+            self._keep(asyncio.create_task(send()))
+
+    def _keep(self, task: asyncio.Task[None]) -> None:
+        """Keeps a reference to a task until it ends, which the event loop does not."""
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def _count_bad(self) -> None:
         self._state.bad += 1
