@@ -42,11 +42,14 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "franka_hand": (2, 1, 2),
     "inspire_ftp": (5, 6, 12),
     "inspire_hand": (5, 6, 12),
+    "inspire_rh56f1": (5, 6, 12),
     "leap_hand": (4, 16, 16),
+    "leap_v2_advanced": (5, 17, 21),
     "linker_l10": (5, 10, 20),
     "linker_l20": (5, 16, 21),
     "linker_l21": (5, 17, 17),
     "linker_l25": (5, 21, 21),
+    "linker_l6": (5, 6, 11),
     "linker_o6": (5, 6, 11),
     "linker_o7": (5, 7, 17),
     "mimic_p050": (5, 16, 20),
@@ -56,6 +59,7 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "robotiq_2f140": (2, 1, 4),
     "robotiq_2f85": (2, 1, 4),
     "robotis_hx5": (5, 20, 20),
+    "rohand": (5, 6, 11),
     "ruka_v2": (5, 14, 18),
     "schunk_svh": (5, 9, 20),
     "shadow_dexee": (3, 12, 12),
@@ -66,6 +70,8 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "unitree_dex3": (3, 7, 7),
     "unitree_dex5": (5, 16, 20),
     "wuji_hand": (5, 20, 20),
+    "wuji_hand2": (5, 20, 20),
+    "xhand1": (5, 12, 12),
 }
 NAMES = tuple(FOUND)
 SHAPED = tuple(name for name in NAMES if name not in GRIPPERS)

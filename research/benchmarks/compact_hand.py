@@ -12,7 +12,8 @@ meshes: those with which the program fills meshes for its self-collision term, o
 the bones of links whose meshes are missing. An entry asks for estimates (``estimate``, beginnings
 of the names of links) where a capsule can't follow a mesh, such as that of a palm which is hollow
 around the thumb, or gives the capsules of a link itself (``shapes``). It also names pairs of links
-that may overlap (``exclude``), as makers' MJCFs do.
+that may overlap (``exclude``), as makers' MJCFs do, and gives joints the limits that a URDF leaves
+out (``limits``).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -305,7 +307,10 @@ def compact(name: str, side: Side, recipe: Mapping[str, Any], checkout: Path, ou
         f"{file}, {recipe['licence']}"
     )
     macro = recipe.get("macro", "").format(side=side)
-    with _expanded(checkout / file, macro, checkout) as path:
+    with (
+        _expanded(checkout / file, macro, checkout) as urdf,
+        _limited(urdf, recipe.get("limits", {})) as path,
+    ):
         add = Add(
             model=path,
             palm=next(iter(words("palm")), None),
@@ -378,6 +383,29 @@ def _expanded(path: Path, macro: str, checkout: Path) -> Iterator[Path]:
         urdf = Path(folder) / "hand.urdf"
         urdf.write_text(xacro.process_file(str(main)).toxml(), encoding="utf-8")
         yield urdf
+
+
+@contextmanager
+def _limited(path: Path, limits: Mapping[str, Sequence[float]]) -> Iterator[Path]:
+    """The path, or that of a temporary copy of a URDF whose joints have the limits [rad]."""
+    if not limits:
+        yield path
+        return
+    tree = ElementTree.parse(path)
+    for name, (low, high) in limits.items():
+        joint = tree.find(f"joint[@name='{name}']")
+        if joint is None:
+            raise SystemExit(f"{path} has no joint {name!r}")
+        joint.set("type", "revolute")
+        for limit in joint.findall("limit"):
+            joint.remove(limit)
+        ElementTree.SubElement(
+            joint, "limit", lower=str(low), upper=str(high), effort="0", velocity="0"
+        )
+    copied = path.with_name(f"limited_{path.name}")
+    tree.write(copied)
+    yield copied
+    copied.unlink()
 
 
 def _compare(hand: Hand, short: Hand) -> None:

@@ -47,7 +47,7 @@ Examples:
   smooth-operator hands add hand.xml --thumb link_12 --tip index=link_3:0,0,0.027 --overwrite
   smooth-operator hands add so101.urdf --gripper gripper
   smooth-operator hands add robot_descriptions:allegro_hand --side right
-  smooth-operator hands add xhand1 --from models --side left
+  smooth-operator hands add revo3 --from brainco-description --side left
   smooth-operator hands add hand.urdf --json"""
 
     model: Annotated[Positional[Path], arg(metavar="PATH|robot_descriptions:NAME|NAME")]

@@ -1,4 +1,4 @@
-"""Hands whose models stay in the repositories of their makers.
+"""Hands whose models stay in the repositories of their authors.
 
 This project does not carry these models. ``MAKERS_HANDS`` names repository, commit, file and digest
 of each; the user clones the repository. Nothing here uses the network.
@@ -19,13 +19,13 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class MakersHand:
-    """One side of a hand whose model stays in its maker's repository.
+    """One side of a hand whose model stays in its author's repository.
 
     Attributes:
         name: name of the hand.
         side: the side.
-        maker: who makes the hand.
-        repository: address of the maker's repository.
+        maker: author of the model: the maker of the hand, or a user.
+        repository: address of the author's repository.
         commit: commit at which the model was checked.
         file: path of the model file in the repository.
         sha256: digest of the model file that was checked, with LF line ends.
@@ -59,13 +59,13 @@ class MakersHand:
         """
         if clone is None:
             raise ConfigError(
-                f"the model of {self.name} stays in the repository of its maker, {self.maker}, and "
-                f"this program downloads nothing. Type:{self.steps}"
+                f"the model of {self.name} stays in the repository of its author, {self.maker}, "
+                f"and this program downloads nothing. Type:{self.steps}"
             )
         file = clone / self.file
         if not file.is_file():
             raise ConfigError(
-                f"there is no {self.file} in {clone}; expected a clone of the maker's "
+                f"there is no {self.file} in {clone}; expected a clone of the author's "
                 f"repository:{self.steps}"
             )
         return file
@@ -77,10 +77,10 @@ class MakersHand:
 
 
 def makers_hand(name: str, side: Side) -> MakersHand:
-    """A side of a hand of ``MAKERS_HANDS``; ConfigError if the maker has no model of that side."""
+    """A side of a hand of ``MAKERS_HANDS``; ConfigError if its author has no model of that side."""
     entry = MAKERS_HANDS[name]
     if side not in entry:
-        raise ConfigError(f"the maker of {name} publishes no model of a {side} hand")
+        raise ConfigError(f"the author of the model of {name} publishes none of a {side} hand")
     about = {key: entry[key] for key in ("maker", "repository", "commit")}
     own = dict(entry[side])
     return MakersHand(
