@@ -125,7 +125,8 @@ def prepare(words: list[str]) -> None:
         if take and not (path := Path("takes") / take[1]).exists():
             path.parent.mkdir(exist_ok=True)
             sink = f"record:{path}"
-            before.append(["teleop", "--sink", sink, "--duration", "1", "--no-view"])
+            seconds = "3" if words[0] == "edit" else "1"
+            before.append(["teleop", "--sink", sink, "--duration", seconds, "--no-view"])
         if word == "operator.json" and "--operator" in words and not Path(word).exists():
             before.append(["calibrate", "glove.npz", "--output", word])
     if "my_hand" in words and "add" not in words and "my_hand" not in hand_names():

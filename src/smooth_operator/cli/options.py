@@ -26,6 +26,7 @@ from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor import Doctor
+from smooth_operator.cli.edit import Edit
 from smooth_operator.cli.hands import Hands
 from smooth_operator.cli.latency import Latency
 from smooth_operator.cli.retarget import Retarget
@@ -205,6 +206,8 @@ EXAMPLES: Final = """Examples:
       convert recordings to a data set of robot episodes, filtered by quality
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       drive a hand live from a tracker, with motion limits and a live page
+  smooth-operator edit take.mcap --keep 1.5:8 --output short.mcap
+      cut, mark or drop parts of a take, in a new take
   smooth-operator view out.npz glove.npz
       show the commands and the recorded hand side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
@@ -235,6 +238,7 @@ Command: TypeAlias = (
     | Dataset
     | Demo
     | Doctor
+    | Edit
     | Hands
     | Latency
     | Retarget
@@ -251,6 +255,7 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "dataset": Dataset,
     "teleop": Teleop,
     "latency": Latency,
+    "edit": Edit,
     "view": View,
     "convert": Convert,
     "bench": Bench,

@@ -229,8 +229,13 @@ class _WholeReads:
         return self._stream.read(count)
 
 
-def _read_records(path: Path) -> Iterator[Any]:
-    """Yields the channels, metadata and messages of a log, in order."""
+def log_records(path: Path) -> Iterator[Any]:
+    """Yields the schemas, channels, metadata and messages of a log, in order.
+
+    Raises:
+        DamagedError: the following bytes are missing or damaged.
+        RecordingError: the log would take too much memory, or is compressed in another way.
+    """
     size = path.stat().st_size
     allowance = Allowance.of(path, size, LOG_RATIO)
     unpacked = 0
@@ -289,7 +294,7 @@ def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
     metadata: list[Any] = []
     truncated = False
     try:
-        for record in _read_records(path):
+        for record in log_records(path):
             if isinstance(record, mcap_records.Message):
                 if (table := channels.get(record.channel_id)) is not None:
                     table.add(record, path)

@@ -1,0 +1,203 @@
+"""Edits a take: keeps or drops stretches of its log, and marks moments, in a new log."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.episode_files.staging import staged_file
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.io.documents import json_object
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.teleop.recording.log_reader import DamagedError, log_records, read_log
+from smooth_operator.teleop.recording.messages import (
+    COMMAND,
+    CONFIG,
+    HAND,
+    LOOP,
+    ORIGIN,
+    SCHEMAS,
+    mcap_records,
+    mcap_writer,
+    message_class,
+)
+
+_TIMED: Final = (HAND, COMMAND)
+EDITS: Final = "edits"
+"""Key of the history in the ``meta`` of a log's origin."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """What to do with a take. Times are seconds since its first frame or command.
+
+    Attributes:
+        keep: stretches (from, to) to keep; empty for all.
+        drop: stretches to leave out.
+        marks: (time, text) of moments, which become events of the next command.
+    """
+
+    keep: tuple[tuple[float, float], ...] = ()
+    drop: tuple[tuple[float, float], ...] = ()
+    marks: tuple[tuple[float, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        for begin, end in (*self.keep, *self.drop):
+            if not begin < end:
+                raise ConfigError(f"a stretch must end after it begins, not {begin:g}:{end:g}")
+        for time, text in self.marks:
+            if not self.holds(time):
+                raise ConfigError(f"the mark {text!r} at {time:g} s is in a part that is left out")
+
+    def holds(self, time: float) -> bool:
+        """True if the edit keeps a moment [s]."""
+        within = [begin <= time < end for begin, end in self.keep]
+        return (any(within) or not within) and not any(a <= time < b for a, b in self.drop)
+
+
+def edit_logs(
+    paths: Sequence[Path], outputs: Sequence[Path], edit: Edit
+) -> list[Mapping[str, Any]]:
+    """Writes edited copies of logs that were recorded together, such as those of both hands.
+
+    The copies keep the stamps, so a stretch that is left out is a gap in them, as if the tracker
+    had been lost. Each has the history of its edits in the ``meta`` of its origin, under ``edits``.
+
+    Args:
+        paths: the logs, which stay as they are. Their common time starts at the earliest frame or
+            command.
+        outputs: file for the copy of each.
+
+    Returns:
+        for each copy its entry in the history: ``source``, ``sha256`` of it, ``start`` (its stamp
+        of time 0 [s]), ``keep``, ``drop`` and ``marks``; an end that is None is that of the take.
+
+    Raises:
+        RecordingError: a file is not a log of this program, or nothing of it is kept; a mark is
+            after its end.
+        OutputError: a copy would replace its original, or can't be written.
+    """
+    for path, output in zip(paths, outputs, strict=True):
+        read_log(path)  # checks its messages
+        if output.exists() and output.samefile(path):
+            raise OutputError(f"{path}: a take is not edited in place; name another --output")
+    start = min(_start(path) for path in paths)
+    return [_copy(path, to, edit, start) for path, to in zip(paths, outputs, strict=True)]
+
+
+def _start(path: Path) -> int:
+    """Time of the first frame or command [ns]."""
+    topics: dict[int, str] = {}
+    for record in _readable(path):
+        if isinstance(record, mcap_records.Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, mcap_records.Message) and topics[record.channel_id] in _TIMED:
+            return int(record.log_time)
+    raise RecordingError(f"{path}: the log has neither frames nor commands")
+
+
+def _readable(path: Path) -> Iterable[Any]:
+    """The records of a log up to its end, or to the place where it was cut off."""
+    try:
+        yield from log_records(path)
+    except DamagedError:
+        return
+
+
+def _copy(path: Path, output: Path, edit: Edit, start: int) -> Mapping[str, Any]:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    keep, drop = ([(a, None if b == math.inf else b) for a, b in x] for x in (edit.keep, edit.drop))
+    entry = {
+        "source": path.name,
+        "sha256": digest,
+        "start": start / 1e9,
+        "keep": keep,
+        "drop": drop,
+        "marks": edit.marks,
+    }
+    marks = sorted(edit.marks)
+    schemas: dict[int, int] = {}
+    channels: dict[int, tuple[int, str]] = {}
+    count = 0
+    with staged_file(output) as temporary, temporary.open("wb") as stream:
+        writer = mcap_writer.Writer(stream)
+        writer.start("", "smooth-operator")
+        origin: dict[str, str] = {"name": output.stem}
+        config: Any = None
+        for record in _readable(path):
+            if isinstance(record, mcap_records.Schema):
+                schemas[record.id] = writer.register_schema(
+                    record.name, record.encoding, record.data
+                )
+            elif isinstance(record, mcap_records.Channel):
+                number = writer.register_channel(
+                    record.topic,
+                    record.message_encoding,
+                    schemas[record.schema_id],
+                    dict(record.metadata),
+                )
+                channels[record.id] = number, record.topic
+            elif isinstance(record, mcap_records.Metadata):
+                if record.name == ORIGIN:
+                    origin = dict(record.metadata)
+                else:
+                    writer.add_metadata(record.name, dict(record.metadata))
+            elif isinstance(record, mcap_records.Message) and record.channel_id in channels:
+                number, topic = channels[record.channel_id]
+                at = (record.log_time - start) / 1e9
+                if topic == CONFIG:
+                    config = record
+                if topic == CONFIG or not edit.holds(at):
+                    continue
+                data = record.data
+                if topic == LOOP and marks and at >= marks[0][0]:
+                    state = message_class(SCHEMAS[LOOP]).FromString(data)
+                    while marks and at >= marks[0][0]:
+                        state.events.append(f"mark: {marks.pop(0)[1]}")
+                    data = state.SerializeToString()
+                if config is not None:  # at the time of the first message, as in every log
+                    place = channels[config.channel_id][0]
+                    writer.add_message(place, record.log_time, config.data, record.log_time, 0)
+                    config = None
+                writer.add_message(number, record.log_time, data, record.log_time, record.sequence)
+                count += topic in _TIMED
+        if not count:
+            raise RecordingError(f"{path}: nothing of the take would be kept")
+        if marks:
+            time, words = marks[0]
+            raise RecordingError(f"{path}: the mark {words!r} at {time:g} s is after all commands")
+        meta = json_object(origin.get("meta", "")) or {}
+        meta[EDITS] = [*meta.get(EDITS, []), entry]
+        writer.add_metadata(ORIGIN, {**origin, "name": output.stem, "meta": to_json(meta)})
+        writer.finish()  # type: ignore[no-untyped-call]
+    return entry
+
+
+def as_stretch(text: str) -> tuple[float, float]:
+    """Reads ``A:B`` [s]; without A from the start, without B to the end. ConfigError for another
+    form."""
+    begin, sign, end = text.partition(":")
+    try:
+        stretch = float(begin or 0.0), float(end) if end else math.inf
+    except ValueError:
+        sign = ""
+    if not sign or math.isnan(sum(stretch)):
+        raise ConfigError(f"{text!r} is not a stretch; write FROM:TO in seconds: 1.5:8, 9:")
+    return stretch
+
+
+def as_mark(text: str) -> tuple[float, str]:
+    """Reads ``T=TEXT``; ConfigError for another form."""
+    time, sign, words = text.partition("=")
+    try:
+        mark = float(time), words.strip()
+    except ValueError:
+        sign = ""
+    if not sign or not mark[1] or not math.isfinite(mark[0]):
+        raise ConfigError(f"{text!r} is not a mark; write SECONDS=TEXT, such as 2.5=grasp")
+    return mark
