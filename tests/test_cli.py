@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_time import PATIENCE_S, until
+from processes import python
 
 from smooth_operator import Retargeter, load_hand, read_commands, read_recording
 from smooth_operator.cli import main
@@ -384,13 +385,7 @@ sys.exit(process.program())
 
 def test_a_thread_that_does_not_answer_spoils_no_ending():
     """What is to be written is, though the interpreter is not torn down around such a thread."""
-    ended = subprocess.run(
-        [sys.executable, "-c", LEFT],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    ended = python("-c", LEFT)
     assert (ended.returncode, ended.stderr) == (130, "")
     assert ended.stdout.split("\n") == ["done", "written", "tidied up", ""]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
+from processes import python
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
@@ -29,23 +30,9 @@ def made(tmp_path_factory) -> Path:
 def view(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """The command on a machine without a display: it finds EGL or OSMesa by itself."""
     chosen = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")
-    return subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "smooth_operator",
-            "view",
-            "out.npz",
-            "out.npz",
-            "hand.npz",
-            *options,
-        ],
-        cwd=folder,
-        env={name: value for name, value in os.environ.items() if name not in chosen},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    env = {name: value for name, value in os.environ.items() if name not in chosen}
+    files = ("out.npz", "out.npz", "hand.npz")
+    return python("-m", "smooth_operator", "view", *files, *options, cwd=folder, env=env)
 
 
 @pytest.mark.parametrize("suffix", ["gif", pytest.param("webp", marks=pytest.mark.weekly)])

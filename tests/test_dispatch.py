@@ -2,12 +2,11 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
 import pytest
+from processes import python
 
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.start import start_jax
@@ -45,13 +44,7 @@ sys.exit(process.program())
 def ran(**variables: str) -> tuple[list[str], str]:
     """What the command printed: JAX's settings and the kept programs; and its messages."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
-    done = subprocess.run(
-        [sys.executable, "-c", COMMAND],
-        env=environment | {"JAX_PLATFORMS": "cpu"} | variables,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", COMMAND, env=environment | {"JAX_PLATFORMS": "cpu"} | variables, check=True)
     return done.stdout.splitlines(), done.stderr
 
 

@@ -3,7 +3,6 @@
 import ast
 import json
 import re
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import python
 
 from smooth_operator import extras
 from smooth_operator.errors import MissingExtraError, require
@@ -290,14 +290,7 @@ MODULES = {
 
 def test_without_extras_a_command_works_or_names_what_it_lacks(tmp_path):
     asked = json.dumps([[*WORK, *LACK], list(MODULES), LIBRARIES])
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE, asked],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=1200,
-        check=False,
-    )
+    done = python("-c", PROBE, asked, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     for command in WORK:

@@ -4,8 +4,6 @@ import functools
 import json
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import odd_hands
 import pytest
 import trimesh
 from discovery_hands import Model, make_hand, mjcf, urdf
+from processes import python
 
 from smooth_operator.hand_discovery.checks import Samples
 from smooth_operator.hand_discovery.joints import check_wrist
@@ -322,14 +321,9 @@ def test_a_deprecated_attribute_of_masses_is_no_news(tmp_path):
     assert "settotalmass" in text
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets/robot.xml").write_text(text)
-    done = subprocess.run(
-        [sys.executable, "-m", "smooth_operator", "hands", "add", "assets/robot.xml"],
-        cwd=tmp_path,
-        env=os.environ | {"SMOOTH_OPERATOR_HANDS": str(tmp_path / "hands")},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    words = ("-m", "smooth_operator", "hands", "add", "assets/robot.xml")
+    env = os.environ | {"SMOOTH_OPERATOR_HANDS": str(tmp_path / "hands")}
+    done = python(*words, cwd=tmp_path, env=env, check=True)
     assert done.stderr == ""
     (spec,) = (tmp_path / "hands").glob("*.toml")
     assert not spec.name.startswith(("assets", "robot"))  # a name that says something

@@ -5,13 +5,12 @@ import importlib.metadata
 import json
 import os
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import processes
 import pytest
 
 from smooth_operator.extras import install_command
@@ -96,16 +95,7 @@ print(time.process_time() - start)
 
 def python(*arguments: str, **environment: str) -> str:
     """Standard output of a fresh interpreter."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return processes.python(*arguments, env=os.environ | environment, check=True).stdout
 
 
 def probe(*statements: str) -> dict[str, Any]:

@@ -2,12 +2,11 @@
 
 import importlib.util
 import re
-import subprocess
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from processes import python
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -25,11 +24,5 @@ def test_the_code_is_clean(command):
     others = [f"{n} {version(n)}" for n in deciding if version(n) != locked[n]]
     if others:
         pytest.skip(f"judged with the versions of requirements.lock, not with {', '.join(others)}")
-    done = subprocess.run(
-        [sys.executable, "-m", *command.split()],
-        cwd=PROJECT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-m", *command.split(), cwd=PROJECT)
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"

@@ -2,11 +2,11 @@
 
 import json
 import os
-import subprocess
 import sys
 from unittest.mock import MagicMock
 
 import pytest
+from processes import python
 
 from smooth_operator.errors import SourceError
 from smooth_operator.teleop.sources.webcam import picture_tracker
@@ -45,13 +45,7 @@ def test_a_failed_import_of_opencv_names_the_packages_of_the_system(tmp_path):
     (tmp_path / "cv2").mkdir()
     (tmp_path / "cv2" / "__init__.py").write_text(LOADER)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", PROGRAM, env={**os.environ, "PYTHONPATH": path}, check=True)
     restored, modules, texts = json.loads(done.stdout)
     assert restored
     assert modules == []

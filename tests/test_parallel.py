@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from live_time import PATIENCE_S
+from processes import python
 
 from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
 from smooth_operator.extras import install_command
@@ -353,13 +354,7 @@ GUARD = "if __name__ =="
 def test_workers_that_do_not_start_say_why(tmp_path, code, reason, written, workers):
     script = tmp_path / "script.py"
     script.write_text(code.replace("WORKERS", str(workers)), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE_S,
-    )
+    done = python(str(script))
     assert done.returncode != 0
     message = done.stderr.strip().splitlines()[-1]
     assert WorkerError.__name__ in message

@@ -3,10 +3,10 @@
 import ast
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+from processes import python
 
 SETTINGS = """
 import json, logging, os, signal, sys, threading, warnings
@@ -80,13 +80,7 @@ def test_a_call_changes_no_setting_of_the_process(tmp_path):
     libraries += "    try: __import__(name)\n    except ImportError: pass\n"
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPILATION")}
     environment |= {"SMOOTH_OPERATOR_CACHE": str(tmp_path), "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(
-        [sys.executable, "-c", SETTINGS + libraries + CALLS],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-c", SETTINGS + libraries + CALLS, env=environment)
     assert done.returncode == 0, done.stderr
     changes = json.loads(done.stdout.splitlines()[-1])
     assert changes == {"frame": {}, "batch": {}, "page": {}, "webcam": {}}

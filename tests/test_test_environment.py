@@ -2,11 +2,10 @@
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from processes import python
 
 from conftest import LONG_FILES
 from smooth_operator.hands.registry import hand_names
@@ -37,13 +36,7 @@ def probe(folder: Path, ignore_interrupt: bool) -> list[str]:
         for number in numbers:
             signal.signal(number, signal.SIG_IGN)  # a child inherits it, as under nohup
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", PROBE, str(TESTS.parent)],
-            env=outside | homes | switch,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        done = python("-c", PROBE, str(TESTS.parent), env=outside | homes | switch, check=True)
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)

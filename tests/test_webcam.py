@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-import subprocess
 import sys
 import time
 import zipfile
@@ -12,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_time import PATIENCE_S, Kept
+from live_time import Kept
 from live_time import until as wait_for
 from pictures import landmarker_or_skip, opencv_or_skip
+from processes import python
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
@@ -428,13 +428,7 @@ source = Video(Path({str(clip)!r}), loop=True, model=Path({str(media)!r}) / "han
 source.start(Mailbox())
 time.sleep(0.5)
 """
-    ended = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    ended = python("-c", program)
     assert ended.returncode == 0, ended.stderr
     assert "Traceback" not in ended.stderr
 

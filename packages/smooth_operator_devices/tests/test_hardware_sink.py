@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
 from live_time import PATIENCE_S, until
+from processes import python
 from ticks import make_tick
 
 from smooth_operator import load_hand
@@ -179,12 +180,10 @@ def test_the_lock_is_the_same_with_another_folder_of_temporary_files(tmp_path, m
     lock = BusLock(bus)
     (tmp_path / "other").mkdir()
     code = f"from smooth_operator_devices.hands.bus_lock import BusLock; BusLock({bus!r})"
-    other = subprocess.run(
-        [sys.executable, "-c", code],
+    other = python(
+        "-c",
+        code,
         env=os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(tmp_path / "other")),
-        capture_output=True,
-        text=True,
-        check=False,
     )
     lock.release()
     assert f"in use by another run of smooth-operator (process {os.getpid()})" in other.stderr

@@ -6,14 +6,12 @@ import json
 import os
 import random
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from live_time import PATIENCE_S
+from processes import python
 from study_writers import due, notes, small_plan
 
 from smooth_operator.errors import StudyError, UnknownNameError
@@ -342,13 +340,7 @@ def test_what_is_exported_is_read_by_the_analysis(store, tmp_path):
 
 
 def writers(what: str, target: str, folder: Path, count: int, most: int) -> None:
-    done = subprocess.run(
-        [sys.executable, WRITERS, what, target, str(folder), str(count), str(most)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
-    assert done.returncode == 0, done.stderr
+    done = python(WRITERS, what, target, folder, count, most, check=True)
     assert "Error" not in done.stderr, done.stderr
 
 
