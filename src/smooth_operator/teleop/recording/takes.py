@@ -6,30 +6,17 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.sinks.record import SUFFIX, RecordSink
 from smooth_operator.teleop.sinks.sink import SinkRunner
-from smooth_operator.types import Side
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.sinks.record import TakeSink
 
 _NAME: Final = re.compile(r"[\w.-]{1,80}")
-
-
-@dataclass(frozen=True)
-class _Take(RecordSink):
-    """Recorder of a take; stores the configuration at the take's start, which may differ from that
-    of the run's start."""
-
-    configuration: Callable[[], Mapping[str, Any]] = dict
-
-    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Creates the files."""
-        super().open(hands, {**config, **self.configuration()})
 
 
 class Takes:
@@ -59,7 +46,7 @@ class Takes:
         self.error = ""
         self.kept = 0
         self._sinks, self._configuration, self._say = sinks, configuration, say
-        self._take: _Take | None = None
+        self._take: TakeSink | None = None
         self._begun = 0.0
         self._last: tuple[Path, ...] = ()
         self._open = False  # True until the last take is named, kept or discarded
@@ -93,7 +80,7 @@ class Takes:
             OutputError: the file can't be renamed.
         """
         with self._working:
-            name = re.sub(r"\s+", "_", name.strip()).removesuffix(SUFFIX)
+            name = re.sub(r"\s+", "_", name.strip()).removesuffix(".mcap")
             if name:
                 self._rename(name)
             self._decided()
@@ -172,7 +159,9 @@ class Takes:
                 self._say(f"take ended: {_names(self._last)}")
                 return
             try:
-                take = _Take(self.folder, configuration=self._configuration)
+                from smooth_operator.teleop.sinks.record import TakeSink
+
+                take = TakeSink(self.folder, configuration=self._configuration)
                 self._sinks.add(take)
             except SmoothOperatorError as error:
                 self.error = str(error)

@@ -9,7 +9,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -147,6 +147,18 @@ _TURN: Final = 4
 """Number of ticks to encode before the loop may take the interpreter; this takes 0.6 ms."""
 _END_S: Final = 20.0
 """Longest time to finish a recording, that is, write the buffer and close two files [s]."""
+
+
+@dataclass(frozen=True)
+class TakeSink(RecordSink):
+    """Recorder of a take; stores the configuration at the take's start, which may differ from that
+    of the run's start."""
+
+    configuration: Callable[[], Mapping[str, Any]] = dict
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Creates the files."""
+        super().open(hands, {**config, **self.configuration()})
 
 
 class Recorder:
