@@ -15,12 +15,13 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode, StateTrajectory
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.recording import read_episode
+from smooth_operator.teleop.recording import read_episode, write_episode
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.teleop.runtime.statistics import log_timing
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.sink import SinkRunner
-from smooth_operator.teleop.sinks.tick import HandState, Tick
+from smooth_operator.teleop.sinks.tick import Contact, HandState, Tick
 from smooth_operator.teleop.sinks.zmq_sink import command_message
 from smooth_operator.teleop.sinks.zmq_sink import state_message as zmq_message
 
@@ -40,6 +41,7 @@ def measured(hand: Hand, number: int, stamp: float) -> HandState:
         np.array([100.0 + number, np.nan]),
         np.array([31.0, 32.0]),
         np.array([0.1, 0.2, 0.3]),
+        Contact(np.array([0.5, 0.1 * number, np.nan]), np.array([2.5, 0.0, np.nan])),
     )
 
 
@@ -73,6 +75,9 @@ def test_a_log_has_each_measurement_once(log, hand):
     assert states.positions[:, 0] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08])
     assert states.currents[:, 0].tolist() == [100.0, 102.0, 104.0, 106.0, 108.0]
     assert states.touch.shape == (5, 3)
+    np.testing.assert_allclose(states.contact[:, :2], [[0.5, 0.1 * k] for k in range(0, 10, 2)])
+    np.testing.assert_array_equal(states.newtons, [[2.5, 0.0, np.nan]] * 5)
+    assert log_timing(read_log(log))["contact_rate_hz"] == pytest.approx(50.0)
     commands = read_log(log).commands
     assert len(commands) == 10
 
@@ -98,6 +103,16 @@ def test_a_dataset_observes_the_measured_joints(log, tmp_path, hand):
         write_dataset(tmp_path / "mixed", [lambda: episode, lambda: bare], fps=100)
 
 
+def test_hdf5_and_a_new_log_keep_the_contact(log, tmp_path):
+    pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
+    episode = read_episode(log)
+    for name in ("a.h5", "b.mcap"):
+        write_episode(tmp_path / name, episode)
+        states = read_episode(tmp_path / name).states
+        np.testing.assert_array_equal(states.contact, episode.states.contact)
+        np.testing.assert_array_equal(states.newtons, episode.states.newtons)
+
+
 def test_states_of_an_episode_must_fit():
     with pytest.raises(RecordingError, match="positions must have shape"):
         StateTrajectory(np.zeros(2), np.zeros((2, 3)), ("a",))
@@ -120,6 +135,7 @@ def test_a_message_of_a_state_is_no_command(hand, tmp_path):
     assert next(iter(command)) == "side"
     assert message["positions"][3] is None
     assert message["currents"] == [101.0, None]
+    assert (message["contact"], message["newtons"]) == ([0.5, 0.1, None], [2.5, 0.0, None])
     assert abs(message["unix_time"] - time.time()) < PATIENCE_S
     with LogWriter(tmp_path / "a.mcap") as log:
         log.write_state(state)

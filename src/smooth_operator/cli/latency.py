@@ -25,7 +25,8 @@ class Latency(Common):
   solve    alignment and retargeting, one compiled program
   limit    limits of position, velocity and acceleration, coupled joints
   send     until every sink has the command
-The sum of the last four stages is the delay that the loop adds.
+  contact  age of the newest contact of the robot's fingers, which --feedback sends
+The sum of receive, solve, limit and send is the delay that the loop adds.
 
 Examples:
   smooth-operator teleop --sink record:take.mcap --duration 60
@@ -76,6 +77,8 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
     if "rate_hz" in timing:
         parts.append(f"{timing['frames_answered']} of them for new frames")
         parts.append(f"{timing['duration_s']:.1f} s at {timing['rate_hz'] or 0:.1f} Hz")
+        if "contact_rate_hz" in timing:
+            parts.append(f"contact measured at {timing['contact_rate_hz']:.1f} Hz")
         parts += [f"{mode} {100 * share:.1f} %" for mode, share in timing["mode_share"].items()]
     console.print(", ".join(parts), markup=False)
     for event, count in timing.get("events", {}).items():

@@ -29,6 +29,8 @@
         actuator_names   (a,) text; if the actuators have their own names
         currents         (S, a) float64, mA or the driver's unit of force; if measured
         touch            (S, k) float64, the driver's unit; if measured
+        contact          (S, f) float64, of each finger, 0 to 1; if measured
+        newtons          (S, f) float64, force on each finger; if measured
     /configuration       text, JSON; if there is a configuration
 
 ``/hand`` or ``/commands`` may be absent. A file of another program can also be read if it has the
@@ -344,6 +346,9 @@ def _read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
     )
 
 
+_MEASURED = ("currents", "touch", "contact", "newtons")
+
+
 def _write_states(group: Group, states: StateTrajectory) -> None:
     """Add the measured states of a robot hand."""
     _write_array(group, "joint_positions", np.asarray(states.positions, np.float64), "rad")
@@ -352,7 +357,7 @@ def _write_states(group: Group, states: StateTrajectory) -> None:
     group.create_dataset("joint_names", data=list(states.names), dtype=texts)
     if states.actuators:
         group.create_dataset("actuator_names", data=list(states.actuators), dtype=texts)
-    for name in ("currents", "touch"):
+    for name in _MEASURED:
         values = getattr(states, name)
         if values is not None:
             _write_array(group, name, np.asarray(values, np.float64), None)
@@ -365,7 +370,7 @@ def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
     count = len(positions)
     optional: dict[str, Any] = {
         name: _numbers(group, name, (count, None), path) if name in group.arrays else None
-        for name in ("currents", "touch")
+        for name in _MEASURED
     }
     names, actuators = (
         tuple(map(str, group.arrays[key].texts or ())) if key in group.arrays else ()

@@ -48,7 +48,10 @@ ARRAYS = {
         *("wrist", "wrist_engaged", "wrist_valid"),
         *("arm", "arm_measured", "arm_wrist"),
     ),
-    "state": ("joint_positions", "joint_names", "stamps", "actuator_names", "currents", "touch"),
+    "state": (
+        *("joint_positions", "joint_names", "stamps", "actuator_names"),
+        *("currents", "touch", "contact", "newtons"),
+    ),
 }
 """Group -> arrays that are read from it; all arrays of ``stages_ms`` are read."""
 

@@ -27,6 +27,8 @@ class StateTrajectory:
         actuators: (a,) names of the actuators; empty if they have no names.
         currents: (S, a) current or force of the actuators, in the driver's unit, or None.
         touch: (S, k) touch or force sensors, in the driver's unit, or None.
+        contact: (S, f) contact of the robot's fingers, thumb first, 0 to 1, or None.
+        newtons: (S, f) force on each of them [N], NaN if unknown, or None.
 
     Raises:
         RecordingError: the arrays do not fit each other.
@@ -38,6 +40,8 @@ class StateTrajectory:
     actuators: tuple[str, ...] = ()
     currents: Float[np.ndarray, "S a"] | None = None
     touch: Float[np.ndarray, "S k"] | None = None
+    contact: Float[np.ndarray, "S f"] | None = None
+    newtons: Float[np.ndarray, "S f"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.stamps)
@@ -50,8 +54,10 @@ class StateTrajectory:
                 raise RecordingError(
                     f"measured {name} must have shape {shape}, not {np.shape(values)}"
                 )
-        if self.touch is not None and len(self.touch) != count:
-            raise RecordingError(f"touch must have {count} rows, not {len(self.touch)}")
+        for name in ("touch", "contact", "newtons"):
+            values = getattr(self, name)
+            if values is not None and len(values) != count:
+                raise RecordingError(f"{name} must have {count} rows, not {len(values)}")
         if not (np.isfinite(self.stamps).all() and (np.diff(self.stamps) >= 0).all()):
             raise RecordingError(
                 "the timestamps of measured joints must be finite and must not decrease"

@@ -241,7 +241,11 @@ class LogWriter:
         Raises:
             OutputError: as for the class.
         """
-        message = _message(self._classes[STATE], state.stamp, state)
+        levels, newtons = (
+            (None, None) if state.contact is None else (state.contact.levels, state.contact.newtons)
+        )
+        kind = self._classes[STATE]
+        message = _message(kind, state.stamp, state, contact=levels, newtons=newtons)
         self._append(_nanoseconds(state.stamp), (STATE, message))
 
     def write_config(self, config: Mapping[str, Any]) -> None:

@@ -22,7 +22,7 @@ from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import log_topics, read_log
 from smooth_operator.teleop.recording.messages import FOXGLOVE, SCHEMAS
-from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, Contact, HandState, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
@@ -148,6 +148,9 @@ def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[H
             actuators=states.actuators,
             currents=None if currents is None else currents[k],
             touch=None if touch is None else touch[k],
+            contact=None
+            if states.contact is None or states.newtons is None
+            else Contact(states.contact[k], states.newtons[k]),
         )
         for k, stamp in enumerate(states.stamps)
     )

@@ -22,7 +22,7 @@ from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.episode import ArmTrack, StateTrajectory, WristTrack
 from smooth_operator.formats.registry import file_kind
 from smooth_operator.io.documents import parse_json
-from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS
 from smooth_operator.teleop.recording.messages import (
     ARM,
     COMMAND,
@@ -561,6 +561,9 @@ def _read_states(table: _Table) -> StateTrajectory | None:
     names = table.same("names", "the list of measured joints")
     actuators = table.same("actuators", "the list of actuators")
     sizes = [_FLOAT_BYTES * len(row) for row in table.column("touch")]
+    fingers = max(map(len, table.column("contact")))
+    if fingers > len(FINGERS):
+        raise ValueError(f"a hand with {fingers} fingers in contact")
     # Many short messages and a long one must not make a large array.
     if len(sizes) * max(sizes) > FREE_BYTES + ARRAYS_RATIO * sum(sizes):
         raise ValueError("few of the measured states have touch values, and those have too many")
@@ -571,6 +574,7 @@ def _read_states(table: _Table) -> StateTrajectory | None:
         actuators,
         table.optional("currents", len(actuators)),
         table.optional("touch", max(sizes) // _FLOAT_BYTES),
+        *(table.optional(name, fingers) for name in ("contact", "newtons")),
     )
 
 

@@ -225,7 +225,10 @@ class TeleopLoop:
         tick = self.pipelines[side].command(now, answer)
         state = self.sinks.state(side)
         if state is not None:
-            tick = replace(tick, state=state)
+            stages = dict(tick.stages)
+            if state.contact is not None and tick.status is not None:
+                stages["contact"] = (tick.time - state.stamp) * 1e3
+            tick = replace(tick, state=state, stages=stages)
         if tick.arm is not None and (measured := self.sinks.measured_arm(side)) is not None:
             tick = replace(tick, arm=replace(tick.arm, measured=measured))
         before = self.mailbox.clock()

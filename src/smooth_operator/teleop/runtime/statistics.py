@@ -16,6 +16,7 @@ from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import Side, Status
 
 if TYPE_CHECKING:
+    from smooth_operator.formats.episode import StateTrajectory
     from smooth_operator.teleop.recording.log_reader import Log
 
 
@@ -356,4 +357,13 @@ def log_timing(log: Log) -> dict[str, Any]:
             mode: count / len(log.commands) for mode, count in Counter(log.loop.modes).items()
         },
         "events": dict(events.most_common()),
+        **({} if (rate := _contact_rate(log.states)) is None else {"contact_rate_hz": rate}),
     }
+
+
+def _contact_rate(states: StateTrajectory | None) -> float | None:
+    """Measurements of contact per second; None without any."""
+    if states is None or states.contact is None or len(states) < 2:
+        return None
+    length = float(states.stamps[-1] - states.stamps[0])
+    return (len(states) - 1) / length if length > 0 else None

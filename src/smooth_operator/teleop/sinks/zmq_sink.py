@@ -198,6 +198,9 @@ def state_message(state: HandState) -> dict[str, Any]:
         values = getattr(state, name)
         if values is not None:
             message[name] = numbers(values)
+    if state.contact is not None:
+        message["contact"] = numbers(state.contact.levels)
+        message["newtons"] = numbers(state.contact.newtons)
     if state.actuators:
         message["actuators"] = list(state.actuators)
     return message
