@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
-from smooth_operator.errors import ConfigError, HandModelError
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.formats.commands import config_path, read_commands
 from smooth_operator.formats.environment import environment, versions
 from smooth_operator.formats.readers import read_assumed
 from smooth_operator.formats.registry import READERS
@@ -291,6 +292,34 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
         return None
     ours = isinstance(content, dict) and content.get("program") == PROGRAM
     return content if ours else None
+
+
+def foreign_result(path: Path) -> str | None:
+    """Reason why ``OUT.npz`` and its configuration can't be written: one of the files exists and is
+    not an earlier result. None if they can be written."""
+    beside = config_path(path)
+    for existing in (path, beside):
+        if existing.exists() and not existing.is_file():
+            return f"can't write {str(existing)!r}: it is not a plain file; {_ELSEWHERE}"
+    if read_configuration(beside) is not None:
+        return None  # the other file is its result, whole or damaged
+    if beside.exists():
+        return (
+            f"can't write {str(beside)!r}, the configuration file of {path.name}: it exists and is "
+            f"not a configuration; {_ELSEWHERE}"
+        )
+    if path.exists():
+        try:
+            read_commands(path)
+        except RecordingError:
+            return (
+                f"can't write {str(path)!r}: it contains something other than commands; "
+                f"{_ELSEWHERE}"
+            )
+    return None
+
+
+_ELSEWHERE: Final = "choose another name, or remove the file first"
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:

@@ -9,12 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.atomic_files import atomic_write
+from smooth_operator.atomic_files import write_json
 from smooth_operator.errors import ConfigError, DocumentError, brief
 from smooth_operator.extras import UPGRADE
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.entries import Entries
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.retargeting.known_gaps import check_gaps
 from smooth_operator.types import Side, as_side
 
@@ -76,8 +75,7 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
         "pinch_gaps": dict(operator.pinch_gaps),
         "mounts": dict(operator.mounts),
     }
-    with atomic_write(path) as file:
-        file.write(to_json(content, indent=2).encode() + b"\n")
+    write_json(path, content, indent=2)
 
 
 def read_operator(path: Path) -> OperatorProfile:

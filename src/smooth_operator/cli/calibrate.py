@@ -127,7 +127,7 @@ def _calibrate_mount(options: Calibrate, text: str) -> None:
 
 def _calibrate_pinches(options: Calibrate) -> None:
     """Reads the recording, calibrates, writes three files and prints the result."""
-    from smooth_operator.atomic_files import atomic_write
+    from smooth_operator.atomic_files import write_json
     from smooth_operator.calibration.estimate import calibrate, report
     from smooth_operator.calibration.operator_file import write_operator
     from smooth_operator.calibration.segments import PROMPTS
@@ -169,8 +169,7 @@ def _calibrate_pinches(options: Calibrate) -> None:
     with folder_for(options.output.parent):
         with progress.waiting("drawing the report"):
             draw_calibration(calibration, recording, picture)
-        with atomic_write(figures) as file:
-            file.write(to_json(content, indent=2).encode() + b"\n")
+        write_json(figures, content, indent=2)
         mounts = {} if before is None else before.mounts
         write_operator(options.output, replace(calibration.operator, mounts=mounts))
     progress.note(f"wrote {options.output}, {picture.name} and {figures.name}")

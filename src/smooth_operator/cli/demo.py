@@ -56,10 +56,11 @@ def demo(options: Demo) -> None:
     from smooth_operator.cli.outputs import folder_for, staged
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.cli.sample import synthetic_operator
-    from smooth_operator.cli.session import execute_shown, measure_shown, requested
+    from smooth_operator.cli.session import execute_shown
+    from smooth_operator.execution import measure
     from smooth_operator.hand_files.vendor_model import drawn_on
     from smooth_operator.hands.registry import default_side
-    from smooth_operator.planning import configuration, plan
+    from smooth_operator.planning import configuration, make_request, plan
 
     progress = Progressing(options.quiet)
     check_folder(options.output, "demo", "an earlier demo")
@@ -68,14 +69,15 @@ def demo(options: Demo) -> None:
         from smooth_operator.teleop.pages.viser_server import free_port, until_interrupted
 
         free_port(options.host, options.port)
-    request = requested(options, side=options.side)
+    request = make_request(**options.settings(), side=options.side)
     operator = synthetic_operator(options, options.seed, default_side(request.hand))
     todo = plan(operator.record(options.duration), request)
     if options.model is not None:
         drawn_on(todo.hand, options.model)
     with folder_for(options.output):
         outcome = execute_shown(todo, progress)
-        trace, metrics = measure_shown(todo, outcome, options.definition, progress)
+        with progress.waiting("measuring"):
+            trace, metrics = measure(todo, outcome, options.definition)
         title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
         page = None
         # Writing files takes seconds, and the user is waiting for the page.
@@ -117,22 +119,18 @@ def _write(
     metrics: dict[str, Any],
     config: dict[str, Any],
 ) -> None:
-    from smooth_operator.atomic_files import atomic_write
+    from smooth_operator.atomic_files import write_json
     from smooth_operator.benchmark.figures import save_plots
     from smooth_operator.formats.commands import write_commands
-    from smooth_operator.io.jsonable import to_json
-    from smooth_operator.teleop.recording import LogWriter
-    from smooth_operator.types import JointCommand, Status
+    from smooth_operator.formats.episode import Episode
+    from smooth_operator.teleop.recording import write_episode
 
     commands = outcome.commands
     write_commands(folder / "commands.npz", commands, config)
-    with LogWriter(folder / "log.mcap") as log:
-        log.write_config(config)
-        for i, frame in enumerate(todo.recording):
-            log.write_hand(frame)
-            command = JointCommand(commands.joint_positions[i], commands.joint_names, frame.time)
-            log.write_command(command, Status(commands.status[i]), float(commands.latency_ms[i]))
+    write_episode(
+        folder / "log.mcap",
+        Episode(todo.recording, commands, config=config, name=todo.recording.name),
+    )
     save_plots(todo, commands, folder / "plots")
-    for name, content in (("metrics", metrics), ("config", config)):
-        with atomic_write(folder / f"{name}.json") as file:
-            file.write(to_json(content, indent=2).encode() + b"\n")
+    write_json(folder / "metrics.json", metrics, indent=2)
+    write_json(folder / "config.json", config, indent=2)

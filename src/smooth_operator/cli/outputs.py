@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from smooth_operator.atomic_files import output_error
-from smooth_operator.errors import OutputError, RecordingError
-from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.planning import read_configuration
+from smooth_operator.errors import OutputError
+from smooth_operator.formats.commands import config_path
+from smooth_operator.planning import foreign_result
 
 
 def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
@@ -19,31 +19,16 @@ def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
     false; or one of the two files exists and is not an earlier result."""
     if path.suffix != ".npz":
         raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
-    beside = config_path(path)
-    for target in (path, beside):
-        if target.exists() and not target.is_file():
-            raise OutputError(f"can't write {str(target)!r}: it is a folder; name a file")
+    for target in (path, config_path(path)):
         if target.exists() and recording.exists() and target.samefile(recording):
             raise OutputError(
                 f"can't write {str(target)!r}: it is the recording itself; choose another name"
             )
-    if path.exists():
-        try:
-            read_commands(path)
-        except RecordingError:
-            raise OutputError(
-                f"can't write {str(path)!r}: the file exists and does not hold commands; "
-                "choose another name, or remove the file first"
-            ) from None
-        if not overwrite:
-            raise OutputError(
-                f"can't write {str(path)!r}: it exists; choose another name, or add --overwrite"
-            )
-    if beside.exists() and read_configuration(beside) is None:
+    if reason := foreign_result(path):
+        raise OutputError(reason)
+    if path.exists() and not overwrite:
         raise OutputError(
-            f"can't write {str(beside)!r}, the configuration file of {path.name}: it exists "
-            "and is not a configuration; choose another name for the result, or remove the "
-            "file first"
+            f"can't write {str(path)!r}: it exists; choose another name, or add --overwrite"
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -19,6 +19,9 @@ from smooth_operator.cli.common_options import (
 )
 from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.request import WristJointChoice
+
+if TYPE_CHECKING:
+    from smooth_operator.planning import RetargetRequest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +100,8 @@ def retarget(options: Retarget) -> None:
     """Reads, retargets, measures and writes a recording, after a check of all options."""
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_commands_path, folder_for
-    from smooth_operator.cli.session import execute_shown, measure_shown, requested
+    from smooth_operator.cli.session import execute_shown
+    from smooth_operator.execution import measure
     from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.commands import write_commands
     from smooth_operator.io.jsonable import to_json
@@ -121,14 +125,7 @@ def retarget(options: Retarget) -> None:
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording, options.overwrite)
-    request = requested(
-        options,
-        side=options.side,
-        rate=options.rate,
-        layout=options.layout,
-        frames=options.frames,
-        wrist_joints=options.wrist_joints != "off",
-    )
+    request = _request(options)
     recording = request.read_recording(options.recording, options.rate)
     for note in reading_notes(recording, str(options.recording)):
         progress.note(note, matters=True)
@@ -137,7 +134,8 @@ def retarget(options: Retarget) -> None:
     todo = plan(recording[frames], request)
     with folder_for(options.output.parent):
         outcome = execute_shown(todo, progress)
-        _, metrics = measure_shown(todo, outcome, options.definition, progress)
+        with progress.waiting("measuring"):
+            _, metrics = measure(todo, outcome, options.definition)
         config = configuration(
             "retarget",
             todo,
@@ -170,6 +168,19 @@ def retarget(options: Retarget) -> None:
     print_summary(title, todo.method, metrics, [f"{look} all figures"])
 
 
+def _request(options: Retarget) -> RetargetRequest:
+    from smooth_operator.planning import make_request
+
+    return make_request(
+        **options.settings(),
+        side=options.side,
+        rate=options.rate,
+        layout=options.layout,
+        frames=options.frames,
+        wrist_joints=options.wrist_joints != "off",
+    )
+
+
 def retarget_lerobot(options: Retarget, name: str) -> None:
     """Derives the actions of another robot hand for a LeRobot data set.
 
@@ -178,7 +189,6 @@ def retarget_lerobot(options: Retarget, name: str) -> None:
     """
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
-    from smooth_operator.cli.session import requested
     from smooth_operator.datasets.another_hand import find_dataset, retarget_dataset
     from smooth_operator.execution import checked
     from smooth_operator.io.jsonable import to_json
@@ -189,7 +199,7 @@ def retarget_lerobot(options: Retarget, name: str) -> None:
         if getattr(options, option) is not None:
             raise ConfigError(f"{option} can't be used with --dataset; leave it out")
     source, progress = find_dataset(name), Progressing(options.quiet)
-    request = requested(options, side=options.side, wrist_joints=options.wrist_joints != "off")
+    request = _request(options)
     start_jax(one_thread=False)
     with folder_for(options.output.resolve().parent):
         provenance = retarget_dataset(
@@ -208,7 +218,6 @@ def retarget_folder(options: Retarget, folder: Path) -> None:
         SystemExit: 1, if a recording failed.
     """
     from smooth_operator.cli.dataset import make_shown
-    from smooth_operator.cli.session import requested
     from smooth_operator.datasets.request import MirrorRequest
     from smooth_operator.formats.registry import file_kind, is_dataset
 
@@ -220,14 +229,7 @@ def retarget_folder(options: Retarget, folder: Path) -> None:
             f"can't write {str(output)!r}: {folder} is a folder of recordings, so "
             "its results need a folder; name a folder"
         )
-    request = requested(
-        options,
-        side=options.side,
-        rate=options.rate,
-        layout=options.layout,
-        frames=options.frames,
-        wrist_joints=options.wrist_joints != "off",
-    )
+    request = _request(options)
     make_shown(
         MirrorRequest(
             sources=(str(folder),),

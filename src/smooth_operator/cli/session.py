@@ -5,40 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
-from smooth_operator.execution import Outcome, build, execute, measure
+from smooth_operator.execution import Outcome, build, execute
 from smooth_operator.formats.checks import frame_slice, reading_notes
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
-from smooth_operator.metrics import Trace
-from smooth_operator.metrics.table import Definition
-from smooth_operator.planning import Plan, RetargetRequest, make_request
+from smooth_operator.planning import Plan
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.start import start_jax
-from smooth_operator.types import HandRecording, Side
-
-
-def requested(
-    options: Retargeting,
-    *,
-    side: Side | None = None,
-    rate: float | None = None,
-    layout: str | None = None,
-    frames: str | None = None,
-    wrist_joints: bool = False,
-) -> RetargetRequest:
-    """Creates a request from the options, and reads the files that they name; SmoothOperatorError
-    if an option or a file is invalid."""
-    return make_request(
-        **options.settings(),
-        side=side,
-        rate=rate,
-        layout=layout,
-        frames=frames,
-        wrist_joints=wrist_joints,
-    )
+from smooth_operator.types import HandRecording
 
 
 def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
@@ -69,12 +45,3 @@ def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
     """Prints notes on a method and a hand, and on the collision shapes that the metrics use."""
     for note in dict.fromkeys([*config.notes(hand), *filter(None, [stand_in_note(hand)])]):
         progress.note(note, matters=True)
-
-
-def measure_shown(
-    todo: Plan, outcome: Outcome, definition: Definition, progress: Progressing
-) -> tuple[Trace, dict[str, Any]]:
-    """Computes the trace and its metrics."""
-    with progress.waiting("measuring"):
-        trace, metrics = measure(todo, outcome, definition)
-    return trace, metrics

@@ -54,50 +54,6 @@ def join(parts: Iterable[Html | str]) -> Html:
     return Html("\n".join(parts))
 
 
-def table(
-    headers: Sequence[Html],
-    rows: Iterable[Iterable[Html]],
-    class_: str = "",
-) -> Html:
-    """A table that scrolls if it is too wide; the first column names its rows.
-
-    Args:
-        headers: headers of the columns, either bare HTML or whole ``<th>`` elements.
-        rows: cells, either bare HTML or whole ``<td>`` elements.
-    """
-
-    def row(cells: Iterable[Html]) -> str:
-        written = [c if c.startswith("<t") else f"<td>{c}</td>" for c in cells]
-        return f"<tr>{''.join(written)}</tr>"
-
-    head = "".join(
-        header if header.startswith("<th") else element("th", header, scope="col")
-        for header in headers
-    )
-    body = "".join(row(cells) for cells in rows)
-    inside = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return element("div", element("table", Html(inside), class_=class_), class_="scroll")
-
-
-def text_table(headers: Iterable[object], rows: Iterable[Sequence[object]]) -> Html:
-    """A table of plain text; the first column names its rows."""
-    body = ([name_cell(row[0]), *map(escape, row[1:])] for row in rows)
-    return table([escape(header) for header in headers], body)
-
-
-def dot(color: str) -> Html:
-    """The marker of a series in the colour that it has in the plots."""
-    return Html(f"<i class='dot' style='background:{escape(color)}'></i>")
-
-
-def name_cell(text: object, color: str = "", note: str = "") -> Html:
-    """The cell that names a row. A colour marks the row of a series in the plots."""
-    mark = dot(color) if color else ""
-    small = f" <small>{escape(note)}</small>" if note else ""
-    series = {"data_series": str(text)} if color else {}
-    return element("th", Html(f"{mark}{escape(text)}{small}"), scope="row", **series)
-
-
 def data(content: object) -> Html:
     """JSON in a script element, escaped so that no text in it ends the element."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
@@ -110,11 +66,6 @@ def figure(svg: str, caption: str, label: str) -> Html:
     """An inline picture with its caption."""
     picture = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1)
     return element("figure", Html(f"{picture}{element('figcaption', escape(caption))}"))
-
-
-def details(title: str, content: Html) -> Html:
-    """An element that can be unfolded."""
-    return Html(f"<details><summary>{escape(title)}</summary>{content}</details>")
 
 
 _HOME: Final = files("smooth_operator.reporting")

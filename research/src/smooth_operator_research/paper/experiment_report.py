@@ -12,16 +12,13 @@ from smooth_operator.io.documents import read_json
 from smooth_operator.reporting.drawing import write_figure
 from smooth_operator.reporting.report_page import (
     Html,
-    details,
     element,
     escape,
     join,
-    name_cell,
     paragraph,
-    table,
-    text_table,
     write_report_page,
 )
+from smooth_operator_research.html_tables import details, name_cell, table, text_table
 from smooth_operator_research.paper.experiment import (
     EXPERIMENTS,
     RESULTS,

@@ -12,7 +12,6 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.benchmark.figures import Panel, Run, make_clip, robot_landmarks
-from smooth_operator.benchmark.page.report import facts_table, header, player
 from smooth_operator.benchmark.suite import PLOTS, REPORT
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
@@ -27,13 +26,18 @@ from smooth_operator.reporting.report_page import (
     element,
     escape,
     join,
-    name_cell,
     paragraph,
-    table,
-    text_table,
     write_report_page,
 )
 from smooth_operator.types import as_side
+from smooth_operator_research.html_tables import (
+    facts_table,
+    header,
+    name_cell,
+    player,
+    table,
+    text_table,
+)
 from smooth_operator_research.physics.measure import Clip, Drawing, PhysicsSettings
 from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows
 from smooth_operator_research.physics.suite import COMMAND, MeasureOutcome, failed_rows

@@ -159,25 +159,6 @@ def macros(**context: Any) -> Any:
     return template.make_module({**shared, **context})
 
 
-def header(metric: Metric) -> Html:
-    """Heading of a column: name, unit and direction of a metric. Clicking it sorts the table."""
-    return Html(str(macros().header(metric)))
-
-
-def facts_table(facts: Mapping[str, Any]) -> Html:
-    """Table of names and values."""
-    return Html(str(macros().facts(facts)))
-
-
-def player(clip: Mapping[str, object]) -> Html:
-    """Player of a clip with one pane per method, a play button, a slider and a choice of speed.
-
-    Args:
-        clip: result of ``make_clip``.
-    """
-    return Html(str(macros().player(clip)))
-
-
 def write_report(
     finished: Sequence[Finished],
     rows: Sequence[Row],

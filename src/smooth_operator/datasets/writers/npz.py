@@ -22,11 +22,10 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.commands import (
     config_path,
     encode_commands,
-    read_commands,
     write_encoded_commands,
 )
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.planning import read_configuration
+from smooth_operator.planning import foreign_result
 from smooth_operator.types import Side, Status
 
 
@@ -91,23 +90,7 @@ def taken(path: Path, folder: Path) -> str | None:
     above = next((parent for parent in path.parents if parent.exists()), folder)
     if not above.is_dir():
         return f"can't write {str(path)!r}: {above} is not a folder; remove it first"
-    beside = config_path(path)
-    for existing in (path, beside):
-        if existing.exists() and not existing.is_file():
-            return f"can't write {str(existing)!r}: it is not a plain file; remove it first"
-    if read_configuration(beside) is not None:
-        return None  # the other file is its result, whole or damaged
-    if beside.exists():
-        return f"can't write {str(beside)!r}: it contains something else; remove it first"
-    if path.exists():
-        try:
-            read_commands(path)
-        except RecordingError:
-            return (
-                f"can't write {str(path)!r}: it contains something other than commands; remove it "
-                "first"
-            )
-    return None
+    return foreign_result(path)
 
 
 def refused(items: Iterable[Item], folder: Path, report: str) -> dict[str, str]:
