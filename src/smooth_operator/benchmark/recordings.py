@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -24,6 +24,7 @@ from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.commands import only_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import (
+    files_below,
     is_dataset,
     named_as_recording,
     rated_if_unstamped,
@@ -290,29 +291,13 @@ def _ranged(name: str, source: Source) -> str:
 def _expanded(request: Request) -> list[Request]:
     if request.path is None or not request.path.is_dir() or is_dataset(request.path):
         return [request]
-    paths = sorted(_recordings_in(request.path, set()), key=lambda path: path.as_posix())
-    return [replace(request, path=path) for path in paths] or [request]
-
-
-def _recordings_in(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """Yields the files that are treated as recordings, and data sets that a reader recognises.
-
-    Hidden files and files with commands but no hand are skipped; links are followed once.
-    """
-    if folder.resolve() in seen:
-        return
-    seen.add(folder.resolve())
-    try:
-        entries = [path for path in folder.iterdir() if not path.name.startswith(".")]
-    except OSError as error:
-        raise RecordingError(f"{folder}: can't be read: {error.strerror}") from error
-    for path in entries:
-        if is_dataset(path):
-            yield path
-        elif path.is_dir():
-            yield from _recordings_in(path, seen)
-        elif named_as_recording(path) and not only_commands(path):
-            yield path
+    paths = sorted(files_below(request.path), key=lambda path: path.as_posix())
+    recordings = [
+        replace(request, path=path)
+        for path in paths
+        if is_dataset(path) or (named_as_recording(path) and not only_commands(path))
+    ]
+    return recordings or [request]
 
 
 def _load(request: Request) -> Source:

@@ -5,7 +5,7 @@ A reader returns clips. A recording is a clip of one hand; ``read_recording`` re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -430,6 +430,36 @@ def named_as_recording(path: Path) -> bool:
     if suffix == ".csv":
         return any(reader.matches(path) for reader in _recording_formats().values())
     return suffix in recording_suffixes()
+
+
+def files_below(folder: Path, leave: Iterable[Path] = ()) -> Iterator[Path]:
+    """Yields the files and LeRobot data sets in a folder and its subfolders, sorted by name in each
+    folder. Hidden ones are skipped; links are followed once.
+
+    Args:
+        leave: resolved files and folders to skip.
+
+    Raises:
+        RecordingError: a folder can't be read.
+    """
+    seen = {folder.resolve(), *leave}
+
+    def walk(folder: Path) -> Iterator[Path]:
+        try:
+            entries = sorted(folder.iterdir())
+        except OSError as error:
+            raise RecordingError(f"{folder}: can't be read: {error.strerror}") from error
+        for path in entries:
+            real = path.resolve()
+            if path.name.startswith(".") or real in seen:
+                continue
+            if path.is_dir() and not is_dataset(path):
+                seen.add(real)
+                yield from walk(path)
+            else:
+                yield path
+
+    return walk(folder)
 
 
 def readable() -> str:

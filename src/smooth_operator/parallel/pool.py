@@ -51,12 +51,8 @@ _GRACE_S: Final = 5.0
 """Time that a worker has to clean up before it is killed [s]; compiling can't be interrupted."""
 
 _REPEAT_S: Final = 1.0
-_START_S: Final = 60.0
 _MESSAGE: Final = 2048
 """Largest result that is sent through a pipe [bytes]; a pipe writes 4,096 atomically."""
-
-_TAIL: Final = 4096
-"""Number of bytes that are read from a dead worker's standard error."""
 
 
 def run_tasks(
@@ -245,33 +241,11 @@ class PersistentPool(Generic[T, R]):
         if self._false_starts > max(2, self._retries):
             raise WorkerError(
                 f"{self._false_starts} workers in a row ended before their first task "
-                f"({worker.exit()}); {self._start_problem()}"
+                f"({worker.exit()}); their messages are on the standard error. A script that "
+                "starts workers needs 'if __name__ == \"__main__\":' around its main code; each "
+                "worker needs memory for its own libraries"
             )
         return False
-
-    def _start_problem(self) -> str:
-        """Reason why workers die at their start, from the standard error of another one."""
-        with tempfile.TemporaryFile() as errors:
-            before = os.dup(2)
-            os.dup2(errors.fileno(), 2)
-            try:
-                with _no_interrupt():
-                    worker = _Worker(self._raw, 0, self._folder)
-            finally:
-                os.dup2(before, 2)
-                os.close(before)
-            wait([worker.ready], _START_S)
-            _end([worker])
-            errors.seek(max(0, errors.seek(0, os.SEEK_END) - _TAIL))
-            text = errors.read().decode(errors="replace")
-        print(text, end="", file=sys.stderr)
-        if "bootstrapping phase" in text:  # message of multiprocessing
-            return (
-                "a script that starts workers needs 'if __name__ == \"__main__\":' around "
-                "its main code"
-            )
-        last = ["", *(line.strip() for line in text.split("\n") if line.strip())][-1]
-        return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
     def close(self) -> None:
         """End the workers; a worker that is busy with a task can clean up first."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import CarriedHand, hand_directions
+from smooth_operator.simulation.arms.arm import CarriedHand, HandMount, hand_directions
 from smooth_operator.simulation.physics import FURNISHED
 
 
@@ -75,14 +75,11 @@ def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (
     at = np.asarray(wrist, float)
     palm = at - turn @ hand.wrist
     # A model may have a forearm between its world and the palm.
-    data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
-    mujoco.mj_kinematics(hand.model, data)
-    body = hand.model.body(hand.spec.palm).id
-    rotation = turn @ data.xmat[body].reshape(3, 3).T
+    model_to_palm = HandMount(hand).model_to_palm
+    rotation = turn @ model_to_palm[:3, :3].T
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, rotation.ravel())
-    frame = (palm - rotation @ data.xpos[body], quaternion)
+    frame = (palm - rotation @ model_to_palm[:3, 3], quaternion)
     return Mount(turn @ axes.T, at, frame, (palm, turn))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
@@ -23,7 +23,7 @@ from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.commands import config_path
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.formats.registry import file_kind, is_dataset
+from smooth_operator.formats.registry import file_kind, files_below, is_dataset
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]
@@ -215,7 +215,7 @@ def find_sources(
             sources.append(Source(entry, Path(entry.name)))
             continue
         before = len(sources)
-        for path in _walk(entry, left):
+        for path in files_below(entry, left):
             relative = path.relative_to(entry)
             if path.is_dir():
                 dataset = open_dataset(path)
@@ -269,18 +269,6 @@ def _logs() -> types.ModuleType:
     """Imports the module for MCAP files. It needs the ``teleop`` extra, so other formats skip
     it."""
     return importlib.import_module("smooth_operator.teleop.recording.log_episode")
-
-
-def _walk(folder: Path, left: set[Path]) -> Iterator[Path]:
-    """Yields the files and datasets below a folder, sorted by name."""
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.resolve() in left:
-            continue
-        if path.is_dir() and not is_dataset(path):
-            if not path.is_symlink():  # or one could lead round in a circle
-                yield from _walk(path, left)
-        else:
-            yield path
 
 
 def _is_recording(path: Path) -> bool:
