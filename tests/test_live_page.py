@@ -721,6 +721,57 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
         page.get_by_text(f"{ATTACK} note").first.wait_for()
 
 
+@pytest.mark.browser
+def test_contact_is_heard_while_the_operator_moves_the_robot(chromium, stage):
+    """A tone in proportion to the contact; none in a stop, after a loss, or with the switch off."""
+    seen = stage.see()
+    state = seen["hands"]["right"]
+    with serving() as server:
+        hands: dict[Side, Any] = {"right": load_hand("mimic_p050")}
+        scene = LiveScene(server, hands, simulated=True)
+        stop = StopPanel(server, lambda _: None, attended=True)
+        panel = LivePanel(server, hands, lambda *_: None, scene, stop)
+
+        def show(mode: str, *contact: float) -> None:
+            hand = {**state, "mode": mode, "contact": list(contact) or None}
+            panel.show({**seen, "hands": {"right": hand}})
+
+        show("tracking", 0.1, 0.5)
+        page, problems = new_page(chromium, 600, 500, drawn=False)
+        page.add_init_script("""
+            window.gains = [];
+            const set = AudioParam.prototype.setTargetAtTime;
+            AudioParam.prototype.setTargetAtTime = function (value, ...rest) {
+              if (value <= 1) window.gains.push(value); // not a frequency
+              return set.call(this, value, ...rest);
+            };
+        """)
+        page.goto(page_url("127.0.0.1", server))
+        page.get_by_role("tab", name="View").click()
+        page.get_by_label("Sound of contact").wait_for()
+
+        def hears(gain: float) -> None:
+            page.wait_for_function(f"Math.abs(window.gains.at(-1) - {gain}) < 1e-6")
+
+        show("tracking", 0.1, 0.5)
+        assert page.evaluate("gains") == []  # off by default
+        page.get_by_label("Sound of contact").check()
+        eventually(lambda: panel._sound.value)
+        show("tracking", 0.1, 0.5)
+        hears(0.1)
+        show("stopped", 0.1, 0.5)
+        hears(0.0)
+        show("blending", 0.1, 7.0)
+        hears(0.2)  # never more
+        page.evaluate("document.documentElement.setAttribute('data-lost', '')")
+        hears(0.0)
+        page.evaluate("document.documentElement.removeAttribute('data-lost')")
+        show("tracking")  # the hand measures no contact
+        hears(0.0)
+        assert [line for line in problems if "AudioContext" in line or "contact" in line] == []
+        page.close()
+
+
 def drawing_of(server: Any, hand: str) -> tuple[LiveDrawing, dict[str, Any]]:
     """A page without a loop, and its setup."""
     link: Any = SimpleNamespace(do=lambda *_: None)

@@ -93,6 +93,9 @@ class LivePanel:
             self._stop.show(state["stopped"])
             for handle in (self._summary, self._timing):
                 handle.content = ""
+        level = live_texts.contact_level(state["hands"]) if self._sound.value else ""
+        if level != self._contact.content:
+            self._contact.content = level
         shown = live_texts.trial(state.get("trial"))
         if shown != self._trial.content:
             self._trial.content = shown
@@ -113,6 +116,7 @@ class LivePanel:
     def _build_main(self, gui: viser.GuiApi, keys: Mapping[str, Sequence[str]]) -> None:
         do, shown = self._do, self._keys
         self._trial = gui.add_html("", visible=False)
+        self._contact = gui.add_html("")
         self._modes = gui.add_html("")
         self._pause = gui.add_button(f"Pause{shown['pause']}", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button(
@@ -175,6 +179,9 @@ class LivePanel:
             self._own = switch("Own hand at a task", False, "set_own", "as tracked")
             hint = "transparent, at its measured pose"
             self._simulated = switch("Simulated hand", True, "set_simulated", hint)
+        self._sound = gui.add_checkbox(
+            "Sound of contact", False, visible=self._scene.simulated, hint="of the robot's fingers"
+        )
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         view.on_click(from_person(lambda event: self._scene.aiming.aim(event.client)))
         self._meshes_note = gui.add_markdown("", visible=False)

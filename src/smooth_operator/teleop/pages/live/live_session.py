@@ -25,6 +25,7 @@ from smooth_operator.teleop.control.switches import actions as loop_actions
 from smooth_operator.teleop.recording.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.sinks.feedback import VALID_S
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
@@ -204,7 +205,7 @@ class LiveSession:
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
             "contact": None
-            if tick.state is None or tick.state.contact is None
+            if tick.state is None or tick.state.contact is None or now - tick.state.stamp > VALID_S
             else _numbers(np.nan_to_num(tick.state.contact.levels)),
             "age_s": age,
             "latched": None if self.blind else pipeline.latched,

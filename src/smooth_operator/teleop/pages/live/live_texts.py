@@ -12,6 +12,7 @@ from typing import Any, Final
 from smooth_operator.errors import counted
 from smooth_operator.teleop.cameras import LATE_S
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css, finger_colors
+from smooth_operator.teleop.sinks.tick import Mode
 
 _SLOW_S: Final = 0.25
 _SHORTEST_S: Final = 0.05  # shortest hold that counts as a fault of a take [s]
@@ -72,6 +73,17 @@ def slow(delay: float) -> str:
 def notice(building: str, message: str) -> str:
     """Work in progress and the last error; empty if there is neither."""
     return str(_macros().notice(building, message)) if building or message else ""
+
+
+def contact_level(hands: Mapping[str, Any]) -> str:
+    """Hidden element with the largest contact of a finger, for ``contact_sound.js``; 0 for hands
+    that the operator does not move."""
+    levels = [
+        max(hand["contact"], default=0.0)
+        for hand in hands.values()
+        if hand["contact"] is not None and Mode(hand["mode"]).moves
+    ]
+    return f'<i hidden data-contact="{max(levels, default=0.0):.2f}"></i>'
 
 
 def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:

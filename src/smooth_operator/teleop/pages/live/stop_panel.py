@@ -66,7 +66,7 @@ class StopPanel:
             *(("Emergency stop", key, lambda: self._press("stop")) for key in stops),
             *(("Release the stop", key, lambda: self._press("release")) for key in keys["release"]),
         )
-        for name in ("stop_keys.js", "connection.js"):
+        for name in ("stop_keys.js", "connection.js", "contact_sound.js"):
             script = read_script(__package__, name)
             server.front.scripts.append(script.replace("ALIVE_PATH", ALIVE_PATH))
 
