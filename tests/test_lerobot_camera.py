@@ -87,7 +87,7 @@ def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
     from lerobot.utils import errors
 
     if not REAL:
-        robot = sys.modules[f"{ROBOT}.robot"]
+        robot = sys.modules[f"{ROBOT}.smooth_hand"]
         monkeypatch.setattr(
             robot,
             "_cameras",
@@ -167,7 +167,7 @@ class Drawing:
 @pytest.fixture
 def drawing(plugin, monkeypatch) -> Iterator[Drawing]:
     """The camera of a hand whose pictures come when the test wants them."""
-    module = sys.modules[f"{ROBOT}.camera"]
+    module = sys.modules[f"{ROBOT}.smooth_hand_camera"]
     made = Drawing(monkeypatch, module)
     config = plugin.package.SmoothHandCameraConfig(width=32, height=24, fps=1000, stale_s=1.0)
     camera = plugin.package.SmoothHandCamera(config)

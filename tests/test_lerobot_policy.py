@@ -1,13 +1,20 @@
-"""From a take to a policy with the real LeRobot: record, convert, merge, train, roll out, evaluate.
+"""The documented commands with the real LeRobot, word for word: record, train, roll out, evaluate,
+edit, correct by DAgger; and a log that merges with a recording.
 
 Needs LeRobot and our three plug-ins installed; CI has a job with them (``lerobot-policy``).
 """
 
+import contextlib
 import importlib.metadata
 import json
 import os
+import pty
+import re
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +32,8 @@ from smooth_operator.simulation.physics import HandPhysics
 
 INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
 LACKING = {"lerobot", "accelerate", TELEOPERATOR, ROBOT, ENVIRONMENT} - INSTALLED
+
+zmq = pytest.importorskip("zmq")
 
 pytestmark = [
     pytest.mark.lerobot,
@@ -47,7 +56,7 @@ SMALL = {
     "n_action_steps": 5,
     "pretrained_backbone_weights": "null",
 }
-CAMERA = "{front: {type: smooth_hand, width: 96, height: 64, fps: 10, stale_s: 30}}"
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "lerobot.md"
 
 
 def run(module: str, folder: Path, options: dict[str, Any]) -> str:
@@ -109,8 +118,7 @@ def load(root: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with ``plain``, ``joints``, ``object`` and ``seen``, recorded by lerobot-record, and
-    ``take.mcap``."""
+    """A folder with ``plain``, recorded by lerobot-record, and ``take.mcap``."""
     folder = tmp_path_factory.mktemp("policy")
     address = f"tcp://127.0.0.1:{free_port()}"
     teleop = [
@@ -148,19 +156,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         encoding="utf-8",
-    ) as operator:
+    ) as process:
         try:
-            for name, more in (
-                ("plain", {}),
-                ("seen", {"robot.cameras": CAMERA}),
-            ):
-                if name == "seen" and not can_draw():
-                    continue
-                where = {"dataset.repo_id": f"test/{name}", "dataset.root": folder / name}
-                run("lerobot_record", folder, {**record, **where, **more})
+            where = {"dataset.repo_id": "test/plain", "dataset.root": folder / "plain"}
+            run("lerobot_record", folder, {**record, **where})
         finally:
-            operator.terminate()
-            operator.communicate(timeout=PATIENCE_S)
+            process.terminate()
+            process.communicate(timeout=PATIENCE_S)
     return folder
 
 
@@ -172,33 +174,118 @@ def can_draw() -> bool:
     return True
 
 
-def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded):
+def documented(start: str, word: str = "") -> str:
+    """The one documented command that begins so and contains a word, as one line."""
+    text = DOCS.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = "".join(re.findall(r"```bash\n(.*?)```", text, re.DOTALL)).splitlines()
+    (found,) = [line for line in lines if line.startswith(start) and word in line]
+    return found
+
+
+def started(command: str, folder: Path, **options: Any) -> subprocess.Popen[str]:
+    """A documented command, as typed into a shell without a display or a network."""
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "HF_HUB_OFFLINE": "1",
+        "HF_HOME": str(folder / "huggingface"),
+        "JAX_PLATFORMS": "cpu",
+        "BROWSER": "true",
+    }
+    return subprocess.Popen(
+        ["bash", "-c", command],
+        env=environment,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        **options,
+    )
+
+
+def typed(command: str, folder: Path) -> str:
+    """Run a documented command to its end; what it said."""
+    with started(command, folder, stdin=subprocess.DEVNULL) as process:
+        said, _ = process.communicate(timeout=3000)
+    assert process.returncode == 0, f"{command}: {said[-4000:]}"
+    return said
+
+
+@contextlib.contextmanager
+def operator(folder: Path) -> Iterator[None]:
+    """The documented ``teleop``, from its first command on; Ctrl-C at the end."""
+    with started(documented("smooth-operator teleop"), folder, stdin=subprocess.DEVNULL) as process:
+        try:
+            with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+                socket.setsockopt(zmq.SUBSCRIBE, b"")
+                socket.connect("tcp://127.0.0.1:5556")
+                while b'"mode":"tracking"' not in socket.recv():
+                    assert process.poll() is None
+            yield
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=PATIENCE_S)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``fingers`` and ``policy``, by the documented commands."""
     if not can_draw():
         pytest.skip("this machine can't draw with OpenGL")
-    data = load(recorded / "seen")
+    folder = tmp_path_factory.mktemp("documented")
+    with operator(folder):
+        typed(documented("smooth-operator-lerobot-record"), folder)
+    typed(documented("lerobot-train", "policy.type=act"), folder)
+    return folder
+
+
+def test_documented_commands_record_train_roll_out_and_evaluate(trained):
+    data = load(trained / "fingers")
+    assert data.num_episodes == 2
     picture = data[len(data) // 2]["observation.images.front"]
-    assert tuple(picture.shape) == (3, 64, 96)
+    assert tuple(picture.shape) == (3, 120, 160)
     assert float(picture.max() - picture.min()) > 0.3  # the hand, and what is behind it
-    model = train(recorded, recorded / "seen", "seen-policy")
-    inputs = json.loads((model / "config.json").read_text())["input_features"]
+    config = trained / "policy" / "checkpoints" / "last" / "pretrained_model" / "config.json"
+    inputs = json.loads(config.read_text())["input_features"]
     assert set(inputs) == {"observation.state", "observation.images.front"}
-    # the policy moves the simulated robot that the take was recorded with
-    text = run(
-        "lerobot_rollout",
-        recorded,
-        {
-            "policy.path": model,
-            "policy.device": "cpu",
-            "robot.type": "smooth_hand",
-            "robot.hand": "mimic_p050",
-            "robot.cameras": CAMERA,
-            "task": TASK,
-            "fps": FPS,
-            "duration": 2,
-            "play_sounds": "false",
-        },
-    )
-    assert "Rollout finished" in text
+    said = typed(documented("lerobot-rollout", "--duration"), trained)
+    assert "Rollout finished" in said
+    assert "pc_success" in typed(documented("lerobot-eval"), trained)
+
+
+def test_documented_commands_edit_the_data_set_and_change_the_hand(trained):
+    typed(documented("lerobot-edit-dataset"), trained)
+    assert load(trained / "fingers-good").num_episodes == 1
+    typed(documented("smooth-operator retarget"), trained)
+    assert load(trained / "fingers-leap").num_episodes == 2
+    typed(documented("smooth-operator convert"), trained)
+    assert "observation.environment_state" in load(trained / "state").features
+
+
+def test_the_documented_dagger_records_a_correction(trained, tmp_path):
+    """With a person at the keyboard, who waits before each key until the hand is at rest."""
+    keys = [(" recording started", 2.0, b" "), ("autonomous -> paused", 6.0, b"\t")]
+    keys += [("paused -> correcting", 2.0, b"\t")]
+    keyboard, terminal = pty.openpty()
+    with operator(tmp_path):
+        command, said = documented("lerobot-rollout", "dagger"), ""
+        with started(command, trained, stdin=terminal) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                said += line
+                if keys and keys[0][0] in line:
+                    _, seconds, key = keys.pop(0)
+                    time.sleep(seconds)
+                    os.write(keyboard, key)
+        assert process.returncode == 0, said[-4000:]
+    for handle in (keyboard, terminal):
+        os.close(handle)
+    assert "Correction 1/1 saved" in said
+    rows = load(trained / "corrections").hf_dataset.with_format("numpy")[:]
+    assert len(rows["intervention"]) > 10
+    assert np.all(rows["intervention"])
+    # the correction begins where the robot is
+    assert np.abs(rows["action"][0] - rows["observation.state"][0]).max() < 0.2
 
 
 def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded):

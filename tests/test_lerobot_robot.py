@@ -50,7 +50,7 @@ def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, plugin: SimpleNamespac
     hand = load_hand("mimic_p050")
     table = write_fake_table(tmp_path / "fake.toml", hand.actuated_names)
     sink = FakeHandSink(port=f"fake-{tmp_path.name}", table=str(table))
-    module = sys.modules[f"{ROBOT}.robot"]
+    module = sys.modules[f"{ROBOT}.smooth_hand"]
     monkeypatch.setattr(module, "build_sink", lambda text: sink)
     return sink
 
@@ -143,7 +143,7 @@ def at_30_hz(robot, monkeypatch):
     """A robot on a sink without a guard, on a clock that each action moves by 1/30 s."""
     hand, clock = load_hand("mimic_p050"), SimpleNamespace(now=1000.0)
     perfect = PerfectSink(hand)
-    monkeypatch.setattr(sys.modules[f"{ROBOT}.robot"], "build_sink", lambda text: perfect)
+    monkeypatch.setattr(sys.modules[f"{ROBOT}.smooth_hand"], "build_sink", lambda text: perfect)
     ports = sys.modules[f"{ROBOT}.hand_port"]
     monkeypatch.setattr(ports, "time", SimpleNamespace(perf_counter=lambda: clock.now))
 

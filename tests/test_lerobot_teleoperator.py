@@ -206,6 +206,15 @@ def test_an_old_command_is_not_followed_and_a_new_one_not_jumped_to(session, plu
         device.get_action()
 
 
+def test_an_approach_stays_between_what_was_held_and_the_target(plugin):
+    """Also if the target turns back meanwhile, so that a joint's limits are kept."""
+    follower = plugin.following.Follower()
+    follower.put([0.5])
+    follower.follow([2.0], 0.0)
+    values = [follower.follow([0.0], 0.1 * step)[0] for step in range(1, 20)]
+    assert 0.0 <= min(values) <= max(values) <= 0.5
+
+
 def test_commands_that_waited_in_a_queue_are_old(session):
     now = session(joints=JOINTS, unit="radians")
     now.device.connect()
@@ -801,12 +810,43 @@ def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
 @pytest.mark.lerobot
 @pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
 def test_hil_serl_takes_the_events(session):
-    from lerobot.processor import AddTeleopEventsAsInfoStep
+    """Its three steps: the human's action, the events, and what they mean for the transition."""
+    import torch
+    from lerobot.processor import (
+        AddTeleopActionAsComplimentaryDataStep,
+        AddTeleopEventsAsInfoStep,
+        InterventionActionProcessorStep,
+        TransitionKey,
+        create_transition,
+    )
     from lerobot.teleoperators.utils import TeleopEvents
 
-    now = session(joints=JOINTS)
+    now, policy = session(joints=JOINTS), torch.ones(3)
     now.device.connect()
-    assert AddTeleopEventsAsInfoStep(now.device).info({})[TeleopEvents.IS_INTERVENTION]
+    counts = dict.fromkeys(("success", "end", "again"), 0)
+
+    def step(action: str = "", mode: str = "paused") -> Any:
+        counts[action] = counts.get(action, 0) + 1
+        now.clock.now += 0.03
+        now.send(episode=counts, mode=mode)
+        transition = create_transition(action=policy, info={}, complementary_data={})
+        for each in (
+            AddTeleopActionAsComplimentaryDataStep(now.device),
+            AddTeleopEventsAsInfoStep(now.device),
+            InterventionActionProcessorStep(),
+        ):
+            transition = each(transition)
+        return transition
+
+    alone = step()
+    assert torch.equal(alone[TransitionKey.ACTION], policy)
+    assert (alone[TransitionKey.DONE], alone[TransitionKey.REWARD]) == (False, 0.0)
+    taken = step(mode="tracking")
+    assert taken[TransitionKey.INFO][TeleopEvents.IS_INTERVENTION]
+    assert not torch.equal(taken[TransitionKey.ACTION], policy)
+    done = [(each[TransitionKey.DONE], each[TransitionKey.REWARD]) for each in map(step, counts)]
+    assert done[:3] == [(True, 1.0), (True, 0.0), (True, 0.0)]
+    assert step("again")[TransitionKey.INFO][TeleopEvents.RERECORD_EPISODE]
 
 
 @pytest.mark.lerobot

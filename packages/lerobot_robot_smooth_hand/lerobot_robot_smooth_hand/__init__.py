@@ -10,9 +10,9 @@ from smooth_operator.simulation.renderer import draw_off_screen
 with contextlib.suppress(ConfigError):
     draw_off_screen()
 
-from lerobot_robot_smooth_hand.camera import SmoothHandCamera
-from lerobot_robot_smooth_hand.config_camera import SmoothHandCameraConfig
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
-from lerobot_robot_smooth_hand.robot import SmoothHand
+from lerobot_robot_smooth_hand.config_smooth_hand_camera import SmoothHandCameraConfig
+from lerobot_robot_smooth_hand.smooth_hand import SmoothHand
+from lerobot_robot_smooth_hand.smooth_hand_camera import SmoothHandCamera
 
 __all__ = ["SmoothHand", "SmoothHandCamera", "SmoothHandCameraConfig", "SmoothHandConfig"]

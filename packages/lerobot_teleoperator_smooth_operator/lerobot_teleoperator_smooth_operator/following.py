@@ -20,14 +20,15 @@ _WRIST_TURN = 1.0
 class Follower:
     """Values that follow a target without a jump after a gap.
 
-    During a gap, the last values are held. Afterwards, their difference to the target fades out
-    along a curve that starts and ends with speed zero.
+    During a gap, the last values are held. Afterwards, their share fades out along a curve that
+    starts and ends with speed zero, so the values stay between them and the target.
     """
 
     def __init__(self) -> None:
         self.values: np.ndarray | None = None
         """The last values; None before the first target."""
-        self._offset: np.ndarray | None = None
+        self._from: tuple[np.ndarray, np.ndarray] | None = None
+        """The held values and the first target of an approach."""
         self._held = False
         self._begin, self._duration = 0.0, _LEAST_S
 
@@ -48,23 +49,25 @@ class Follower:
         """
         wanted = np.asarray(target, np.float64)
         if self._held and self.values is not None:
-            self._offset = self._difference(self.values, wanted)
-            self._begin, self._duration = now, self._time(self._offset)
+            self._from = self.values, wanted
+            self._begin, self._duration = now, self._time(self._difference(*self._from))
             self._held = False
-        if self._offset is not None:
+        if self._from is not None:
             rest = _fading((now - self._begin) / self._duration)
             if rest == 0.0:
-                self._offset = None
+                self._from = None
             else:
-                wanted = self._shifted(wanted, self._offset, rest)
+                wanted = self._blended(wanted, *self._from, rest)
         self.values = wanted
         return wanted
 
     def _difference(self, held: np.ndarray, target: np.ndarray) -> np.ndarray:
         return np.asarray(held - target)
 
-    def _shifted(self, target: np.ndarray, offset: np.ndarray, share: float) -> np.ndarray:
-        return np.asarray(target + share * offset)
+    def _blended(
+        self, target: np.ndarray, held: np.ndarray, first: np.ndarray, share: float
+    ) -> np.ndarray:
+        return np.asarray(target + share * (held - target))
 
     def _time(self, offset: np.ndarray) -> float:
         return max(_LEAST_S, float(np.abs(offset).max(initial=0.0)) / _JOINT_SPEED)
@@ -77,9 +80,13 @@ class PoseFollower(Follower):
         turn = poses.multiply(held[3:], poses.conjugate(target[3:]))
         return np.concatenate([held[:3] - target[:3], poses.rotation_vectors(turn)])
 
-    def _shifted(self, target: np.ndarray, offset: np.ndarray, share: float) -> np.ndarray:
-        part = poses.from_rotation_vectors(share * offset[3:])
-        return np.concatenate([target[:3] + share * offset[:3], poses.multiply(part, target[3:])])
+    def _blended(
+        self, target: np.ndarray, held: np.ndarray, first: np.ndarray, share: float
+    ) -> np.ndarray:
+        # Half a turn from the held pose the shortest way flips, so the first difference fades out.
+        offset = share * self._difference(held, first)
+        turned = poses.multiply(poses.from_rotation_vectors(offset[3:]), target[3:])
+        return np.concatenate([target[:3] + offset[:3], turned])
 
     def _time(self, offset: np.ndarray) -> float:
         distance, angle = np.linalg.norm(offset[:3]), np.linalg.norm(offset[3:])
