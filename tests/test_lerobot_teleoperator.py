@@ -764,7 +764,7 @@ def test_keys_of_teleop_end_an_episode_or_repeat_it(session, plugin, monkeypatch
 
 @pytest.mark.lerobot
 @pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
-@pytest.mark.parametrize("wrist", ["quaternion", "rotation_6d"])
+@pytest.mark.parametrize("wrist", ["quaternion", "rotation_6d", "ee"])
 def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
     """As DAgger does it: LeRobot moves us to the robot, then releases us."""
     from lerobot.common.control_utils import teleop_smooth_move_to, teleop_supports_feedback
@@ -778,7 +778,8 @@ def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
     human = device.get_action()
     device.send_feedback({"index_mcp.pos": -70.0})  # as lerobot-teleoperate for some robots
     assert device.get_action() == pytest.approx(human)
-    policy = human | {"index_mcp.pos": -70.0, "tcp.x": 0.32, "another.key": 1.0}
+    x = "ee.x" if wrist == "ee" else "tcp.x"
+    policy = human | {"index_mcp.pos": -70.0, x: 0.32, "another.key": 1.0}
     if wrist == "quaternion":  # the same rotation with the other sign: halfway there is none
         policy |= {"tcp.qw": -half, "tcp.qz": -half}
     teleop_smooth_move_to(device, policy, duration_s=0.05, fps=1000)
@@ -786,7 +787,7 @@ def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
     held = device.get_action()
     assert not any(device.get_teleop_events().values())
     assert held["index_mcp.pos"] == pytest.approx(-70.0)
-    assert held["tcp.x"] == pytest.approx(0.32)
+    assert held[x] == pytest.approx(0.32)
     now.send()
     device.disable_torque()
     actions = [held]
@@ -795,10 +796,10 @@ def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
         clock.now += 0.01
         now.send()
     assert actions[-1] == pytest.approx(human)
-    turns = [key for key in human if key.startswith(("tcp.q", "tcp.r"))]
+    turns = [key for key in human if key.startswith(("tcp.q", "tcp.r", "ee.w"))]
     for key in set(human) - set(turns):
         steps = np.abs(np.diff([action[key] for action in actions]))
-        assert steps.max() < {"tcp.x": 0.0016}.get(key, math.degrees(0.016))
+        assert steps.max() < (0.0016 if key == x else math.degrees(0.016))
     turned = np.array([[action[key] for key in turns] for action in actions])
     assert np.abs(turned - turned[-1]).max() < 1e-6 or np.allclose(turned[0], -turned[-1])
     device.enable_torque()  # a correction ends: the robot stays
