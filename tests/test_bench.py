@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser_page import new_page
 from metrics_cases import human_motion, make_trace
 
 from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand, read_commands
@@ -36,7 +37,6 @@ from smooth_operator.execution import tools_of
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.metrics import METRICS, evaluate
-from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.hand_surface import view_basis
@@ -388,20 +388,6 @@ def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
     assert all(row["latency"] is None for row in read_results(out))
 
 
-def test_a_pool_gives_the_same_commands(recordings, done):
-    (source,) = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
-    cell, settings = Cell(source, "mimic_p050", "sbr", "tiny", TINY), Settings(output=done.folder)
-    (result,) = run_tasks(measure_cell, [(cell, settings)], workers=1)
-    assert result.value is not None, result.error
-    (row,) = [row for row in done.rows if row["status"] == "ok"]
-    commands = read_commands(done.folder / row["cell"])
-    np.testing.assert_array_equal(result.value.commands.joint_positions, commands.joint_positions)
-    ours = {
-        k: v for k, v in result.value.metrics.items() if k not in ("latency_ms", "first_command_s")
-    }
-    assert ours == {k: row["metrics"][k] for k in ours}
-
-
 def test_user_errors_come_before_the_long_work(done, recordings, tmp_path, monkeypatch):
     monkeypatch.setattr(suite, "measure_cell", lambda _: pytest.fail("the long work began"))
     foreign, empty = tmp_path / "foreign", tmp_path / "empty"
@@ -750,17 +736,15 @@ def test_methods_take_turns(recordings, monkeypatch):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_plays_without_complaints(done, chromium, scheme):
-    page = chromium.new_page(color_scheme=scheme, viewport={"width": 700, "height": 900})
-    problems: list[str] = []
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+def test_the_page_plays_without_complaints(done, chromium):
+    page, problems = new_page(chromium, 700, 900)
     page.on("request", lambda r: r.url.startswith(("file:", "data:")) or problems.append(r.url))
     page.goto((done.folder / "report.html").as_uri())
     read: Callable[[], str] = page.locator(".player output").inner_text
     pixels = "c => new Set(c.getContext('2d').getImageData(0, 0, c.width, c.height).data).size"
-    assert page.locator(".player canvas").evaluate(pixels) > 20  # something is drawn
+    for scheme in ("dark", "light"):
+        page.emulate_media(color_scheme=scheme)
+        assert page.locator(".player canvas").evaluate(pixels) > 20  # something is drawn
     before = read()
     page.get_by_role("button", name="Play").click()
     page.wait_for_function(

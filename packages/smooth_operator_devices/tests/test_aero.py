@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ pytest.importorskip("serial", reason="needs pyserial")
 pytest.importorskip("termios", reason="needs a pty")
 
 from simulators.aero_hand import AeroHand
-from simulators.common import SerialLine
+from simulators.common import SerialLine, opening
 
 TABLE = read_table(built_in_tables() / "aero_right.toml")
 
@@ -38,16 +37,8 @@ def line(hand) -> Iterator[SerialLine]:
 
 @pytest.fixture
 def open_device(line) -> Iterator[Callable[..., AeroDevice]]:
-    made: list[AeroDevice] = []
-
-    def opened(**settings: Any) -> AeroDevice:
-        made.append(AeroDevice(replace(TABLE, settings=settings), line.port))
-        made[-1].open()
-        return made[-1]
-
-    yield opened
-    for device in made:
-        device.close()
+    with opening(lambda **more: AeroDevice(replace(TABLE, settings=more), line.port)) as opened:
+        yield opened
 
 
 def lose(hand: AeroHand, count: int) -> None:

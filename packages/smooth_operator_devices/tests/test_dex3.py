@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from smooth_operator_devices.hands.drivers.dex3 import Dex3Device
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
 from hand_rigs import ON_LOOPBACK
+from simulators.common import opening
 from simulators.dex3_dds import ORDER, Dex3Hand, HandCmd, MotorCmd
 
 DOMAIN = 101 + os.getpid() % 100
@@ -34,17 +34,9 @@ def hand(request, monkeypatch) -> Iterator[Dex3Hand]:
 
 @pytest.fixture
 def open_device(hand) -> Iterator[Callable[..., Dex3Device]]:
-    made: list[Dex3Device] = []
-
-    def opened(**settings: Any) -> Dex3Device:
-        table = read_table(built_in_tables() / f"dex3_{hand.side}.toml")
-        made.append(Dex3Device(replace(table, settings=settings), DOMAIN))
-        made[-1].open()
-        return made[-1]
-
-    yield opened
-    for device in made:
-        device.close()
+    table = read_table(built_in_tables() / f"dex3_{hand.side}.toml")
+    with opening(lambda **more: Dex3Device(replace(table, settings=more), DOMAIN)) as opened:
+        yield opened
 
 
 def test_dex3_motors_are_in_the_order_of_their_side(hand, open_device):

@@ -5,7 +5,6 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from smooth_operator_devices.hands.drivers.dexhand021 import DexHand021Device
 pytest.importorskip("can", reason="needs python-can")
 
 import can
-from simulators.common import serve_can
+from simulators.common import opening, serve_can
 from simulators.dexhand021_can import JOINTS, OVERLOAD, STALL, DexHand021
 
 _channels = itertools.count()
@@ -45,18 +44,12 @@ def wire() -> str:
 
 @pytest.fixture
 def open_device(hand, side, wire) -> Iterator[Callable[[], DexHand021Device]]:
-    made: list[DexHand021Device] = []
-
-    def opened(of: str = "") -> DexHand021Device:
+    def made(of: str = "") -> DexHand021Device:
         table = read_table(built_in_tables() / f"dexhand021_{of or side}.toml")
-        made.append(DexHand021Device(replace(table), f"virtual:{wire}"))
-        made[-1].open()
-        return made[-1]
+        return DexHand021Device(table, f"virtual:{wire}")
 
-    with serve_can(hand, can.Bus(wire, interface="virtual")):
+    with serve_can(hand, can.Bus(wire, interface="virtual")), opening(made) as opened:
         yield opened
-        for device in made:
-            device.close()
 
 
 def test_dexhand021_frames_are_those_of_the_maker(hand, open_device):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from live_time import until
-from simulators.common import SerialLine
+from simulators.common import SerialLine, opening
 from simulators.feetech_bus import READ, SYNC_WRITE, WRITE, FeetechBus, packet
 
 from smooth_operator.cli import main
@@ -85,17 +85,8 @@ def bank(request, tmp_path) -> Iterator[Callable[..., Bank]]:
 @pytest.fixture
 def opened(bank) -> Iterator[Callable[[str], tuple[Bank, FeetechHand]]]:
     """Three servos, and their device, which is open."""
-    devices: list[FeetechHand] = []
-
-    def make(model: str) -> tuple[Bank, FeetechHand]:
-        simulated = bank(model)
-        devices.append(simulated.device())
-        devices[-1].open()
-        return simulated, devices[-1]
-
-    yield make
-    for device in devices:
-        device.close()
+    with opening(lambda simulated: simulated.device()) as opened:
+        yield lambda model: (simulated := bank(model), opened(simulated))
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from live_time import until
+from simulators.common import opening
 from simulators.revo3_sdk import JOINTS, RANGES, Revo3, Revo3Model, revo3_modules
 from simulators.sdk import installed
 
@@ -27,17 +28,8 @@ def hand() -> Revo3:
 @pytest.fixture
 def open_device(hand, monkeypatch) -> Iterator[Callable[[], Revo3Device]]:
     monkeypatch.setattr(revo3, "_TIMEOUT", 3.0)  # the machine may be busy
-    made: list[Revo3Device] = []
-
-    def opened() -> Revo3Device:
-        made.append(Revo3Device(TABLE, PORT))
-        made[-1].open()
-        return made[-1]
-
-    with installed(revo3_modules(hand)):
+    with installed(revo3_modules(hand)), opening(lambda: Revo3Device(TABLE, PORT)) as opened:
         yield opened
-        for device in made:
-            device.close()
 
 
 def test_revo3_has_the_order_and_ranges_of_the_maker(hand, open_device):

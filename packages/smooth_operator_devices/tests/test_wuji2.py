@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from live_time import until
+from simulators.common import opening
 from simulators.sdk import installed
 from simulators.wuji_sdk import OVERCURRENT, STALL, Hand, wuji_modules
 
@@ -26,17 +27,12 @@ def hand() -> Hand:
 @pytest.fixture
 def open_device(hand, monkeypatch) -> Iterator[Callable[..., Wuji2Device]]:
     monkeypatch.setattr(wuji2, "_TIMEOUT", 3.0)  # the machine may be busy
-    made: list[Wuji2Device] = []
 
-    def opened(port: str = "", limit: float | None = 600.0) -> Wuji2Device:
-        made.append(Wuji2Device(replace(TABLE, limit=limit), port))
-        made[-1].open()
-        return made[-1]
+    def made(port: str = "", limit: float | None = 600.0) -> Wuji2Device:
+        return Wuji2Device(replace(TABLE, limit=limit), port)
 
-    with installed(wuji_modules(hand)):
+    with installed(wuji_modules(hand)), opening(made) as opened:
         yield opened
-        for device in made:
-            device.close()
 
 
 def test_wuji2_sets_limits_before_it_switches_the_motors_on(hand, open_device):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from simulators.common import opening
 from simulators.sdk import installed
 from simulators.xhand_sdk import XHand, xhand_modules
 
@@ -26,12 +27,10 @@ def hands() -> list[XHand]:
 
 @pytest.fixture
 def open_device(hands) -> Iterator[Callable[..., XHandDevice]]:
-    def opened(**settings: Any) -> XHandDevice:
-        device = XHandDevice(replace(TABLE, settings={**TABLE.settings, **settings}), PORT)
-        device.open()
-        return device
+    def made(**settings: Any) -> XHandDevice:
+        return XHandDevice(replace(TABLE, settings={**TABLE.settings, **settings}), PORT)
 
-    with installed(xhand_modules(*hands)):
+    with installed(xhand_modules(*hands)), opening(made) as opened:
         yield opened
 
 

@@ -271,7 +271,8 @@ class Pages:
 
     def __init__(self, chromium: Any, port: int) -> None:
         self.problems: list[str] = []
-        self.context = chromium.new_context(viewport={"width": 1280, "height": 860})
+        size = {"width": 1280, "height": 860}
+        self.context = chromium.new_context(viewport=size, device_scale_factor=0.5)
         self.experimenter = self._page(f"http://127.0.0.1:{port}/")
         self.operator = self._page(f"http://127.0.0.1:{port}/operator", 820, 1180)
 

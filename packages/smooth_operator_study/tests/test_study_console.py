@@ -54,12 +54,17 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
         yield made
 
 
+@pytest.fixture
+def service(store: StudyStore) -> SessionService:
+    """A session of the first operator."""
+    return SessionService(store, operator="P01")
+
+
 def kinds(store: StudyStore, operator: str = "P01") -> list[str]:
     return [record.event.kind for record in store.records(operator)]
 
 
-def test_every_command_that_is_sent_twice_is_done_once(store):
-    service = SessionService(store, operator="P01")
+def test_every_command_that_is_sent_twice_is_done_once(service, store):
     sent = []
     while (asked := due_command(store.progress("P01"))) is not None:
         numbers = {service.carry_out(asked, "experimenter") for _ in range(2)}
@@ -74,8 +79,7 @@ def test_every_command_that_is_sent_twice_is_done_once(store):
     assert store.progress("P01").step.what == "done"
 
 
-def test_a_token_of_another_command_is_refused(store):
-    service = SessionService(store, operator="P01")
+def test_a_token_of_another_command_is_refused(service, store):
     first = command(store.progress("P01"), "calibrated")
     service.carry_out(first, "experimenter")
     thief = command(store.progress("P01"), "start_block", token=first.token)
@@ -98,8 +102,7 @@ def test_of_two_tabs_that_do_the_same_one_is_refused(tmp_path):
         assert (trial.line, trial.resets, trial.void) == ("done", 1, None)
 
 
-def test_a_note_never_stands_in_the_way(store):
-    service = SessionService(store, operator="P01")
+def test_a_note_never_stands_in_the_way(service, store):
     seen = store.progress("P01")
     service.carry_out(command(seen, "note", text="left hand is cold"), "experimenter")
     service.carry_out(command(seen, "calibrated"), "experimenter")
@@ -141,8 +144,7 @@ def test_the_operators_page_answers_and_nothing_else(store):
     assert store.records("P01")[-1].author == "operator"
 
 
-def test_a_trial_ends_when_its_clock_was_stopped(store):
-    service = SessionService(store, operator="P01")
+def test_a_trial_ends_when_its_clock_was_stopped(service, store):
     walk(service, "trial")
     started = store.progress("P01").step.since
     assert started is not None
@@ -167,8 +169,7 @@ def test_a_clock_that_is_set_changes_no_trial(store, step):
     assert progress.records[-1].at - progress.trials[-1].started == timedelta(seconds=12.5)
 
 
-def test_a_score_that_is_undone_keeps_its_time(store):
-    service = SessionService(store, operator="P01")
+def test_a_score_that_is_undone_keeps_its_time(service, store):
     walk(service, "trial")
     give(service, "score", line="failed")
     first = store.records("P01")[-1]
@@ -183,8 +184,7 @@ def test_a_score_that_is_undone_keeps_its_time(store):
     assert "wrong key" in log[1]["text"]
 
 
-def test_after_a_reset_lines_above_the_cap_are_off(store):
-    service = SessionService(store, operator="P01")
+def test_after_a_reset_lines_above_the_cap_are_off(service):
     walk(service, "trial")
     assert [line["possible"] for line in service.look()[0]["now"]["rubric"]] == [True] * 3
     give(service, "reset")
@@ -438,8 +438,7 @@ def full(store: StudyStore, pages: int) -> None:
         connection.execute(f"PRAGMA max_page_count={pages}")
 
 
-def test_on_a_full_disk_nothing_is_acknowledged(store):
-    service = SessionService(store, operator="P01")
+def test_on_a_full_disk_nothing_is_acknowledged(service, store):
     walk(service, "trial")
     full(store, 1)
     note = command(store.progress("P01"), "note", text="long " * 3000)
@@ -451,8 +450,7 @@ def test_on_a_full_disk_nothing_is_acknowledged(store):
     assert kinds(store).count("noted") == 1
 
 
-def test_a_database_that_is_gone_is_told(store, tmp_path):
-    service = SessionService(store, operator="P01")
+def test_a_database_that_is_gone_is_told(service, store, tmp_path):
     asked = command(store.progress("P01"), "calibrated")
     (tmp_path / "study.db").rename(tmp_path / "elsewhere.db")
     with pytest.raises(StoreFailedError):
@@ -464,8 +462,7 @@ def test_a_database_that_is_gone_is_told(store, tmp_path):
         service.look()
 
 
-def test_pages_say_that_the_store_fails_and_come_back(store, tmp_path):
-    service = SessionService(store, operator="P01")
+def test_pages_say_that_the_store_fails_and_come_back(service, store, tmp_path):
     with served(service) as port:
         tab = Tab(port)
         tab.until(lambda s: s["now"])
@@ -676,9 +673,8 @@ def test_what_can_not_be_run_is_told(tmp_path, capsys):
     assert "can't listen" in complaint()
 
 
-def test_a_look_that_fails_takes_no_answer_with_it(store):
+def test_a_look_that_fails_takes_no_answer_with_it(service, store):
     """A page that never hears of its command would wait for it, with all buttons off."""
-    service = SessionService(store, operator="P01")
     look, broken = service.look, threading.Event()
 
     def failing() -> tuple[dict[str, Any], dict[str, Any]]:
@@ -700,9 +696,8 @@ def test_a_look_that_fails_takes_no_answer_with_it(store):
         tab.close()
 
 
-def test_what_comes_late_does_not_replace_what_is_newer(store):
+def test_what_comes_late_does_not_replace_what_is_newer(service, store):
     """A page that went back to an earlier step would take keys for what is over."""
-    service = SessionService(store, operator="P01")
     look = service.look
     holding, held, gate = (threading.Event() for _ in range(3))
 

@@ -24,6 +24,12 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
         yield made
 
 
+@pytest.fixture
+def service(store: StudyStore) -> SessionService:
+    """A session of the first operator."""
+    return SessionService(store, operator="P01")
+
+
 def choose(service: SessionService, operator: str) -> None:
     asked = Command(f"choose-{operator}", "choose", operator, None, {})
     service.carry_out(asked, "experimenter")
@@ -39,8 +45,7 @@ class Hours:
         return Clock(lambda: self.at, lambda: self.at)
 
 
-def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store):
-    service = SessionService(store, operator="P01")
+def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(service, store):
     walk(service, "questionnaire")
     walk(service, "trial")  # the second one; the questionnaire is answered
     before = store.progress("P01")
@@ -69,8 +74,7 @@ def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store):
     assert store.progress("P01").running is not None
 
 
-def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(store):
-    service = SessionService(store, operator="P01")
+def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(service, store):
     walk(service, "trial")
     give(service, "reset")
     walk(service, "done")
@@ -102,8 +106,7 @@ def test_no_trial_is_amended_to_a_reset_that_it_did_not_have(tmp_path):
             give(service, "amend", **place, line=line.name)
 
 
-def test_a_page_that_has_not_seen_an_amendment_still_scores(store):
-    service = SessionService(store, operator="P01")
+def test_a_page_that_has_not_seen_an_amendment_still_scores(service, store):
     walk(service, "start_trial")
     walk(service, "questionnaire")
     walk(service, "trial")
@@ -167,8 +170,7 @@ def test_a_simulation_stands_still_in_a_pause(tmp_path):
         assert store.progress("P01").trials[0].time_s == 30.0  # its clock had stood, too
 
 
-def test_a_block_that_ends_early_leaves_the_next_one_due(store):
-    service = SessionService(store, operator="P01")
+def test_a_block_that_ends_early_leaves_the_next_one_due(service, store):
     walk(service, "trial")
     with pytest.raises(StudyError, match="score or void"):
         give(service, "end_block", reason="no time")
@@ -226,8 +228,7 @@ def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store):
     walk(service, "done")
 
 
-def test_a_withdrawal_is_undone_with_the_trial_that_ran(store):
-    service = SessionService(store, operator="P01")
+def test_a_withdrawal_is_undone_with_the_trial_that_ran(service, store):
     walk(service, "trial")
     give(service, "withdraw", keep=True, reason="")
     last = store.progress("P01").undoable
@@ -273,8 +274,7 @@ def test_no_other_operator_is_chosen_during_a_trial_or_free_movement(tmp_path):
         assert SessionService(store).operator == "P02"
 
 
-def test_the_workload_is_not_shown_before_its_block_is_over(store):
-    service = SessionService(store, operator="P01")
+def test_the_workload_is_not_shown_before_its_block_is_over(service, store):
     walk(service, "questionnaire")
     walk(service, "trial")
     view, _ = service.look()
@@ -334,8 +334,7 @@ def test_what_the_simulation_proposed_stays_when_it_is_overruled(store):
     assert (event.proposed_line, event.proposed_score) == ("done", 1.0)
 
 
-def test_undone_events_are_counted_by_condition(store):
-    service = SessionService(store, operator="P01")
+def test_undone_events_are_counted_by_condition(service, store):
     walk(service, "questionnaire")
     for _ in range(2):
         last = store.progress("P01").undoable
