@@ -295,6 +295,7 @@ def test_messages_that_cannot_be_read_are_left_out(session):
         ({"wrist": "euler"}, "wrist must be one of"),
         ({"gripper": "fist"}, "gripper must be pinch or hand, not 'fist'"),
         ({"wrist": "delta", "joints": JOINTS}, "delta is for one hand, without joints"),
+        ({"wrist_yaw": 180.0}, "give --wrist.scale and --wrist.yaw to teleop"),
         ({"wrist": "delta", "delta_step_m": 0.0}, "delta_step_m must be positive"),
         ({"joints": {"i-mcp": "gripper"}, "gripper": "pinch"}, "gripper.pos is the key of"),
         ({"unit": "range_0_100", "joints": JOINTS}, "needs the model's angles at both ends"),

@@ -23,12 +23,21 @@ from smooth_operator.formats.checks import PALM_RANGE_M
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.geometry import umeyama
 from smooth_operator.landmarks import TIPS
+from smooth_operator.poses import (
+    from_rotation_vectors,
+    is_valid,
+    rotate,
+    separation,
+    wrist_from_landmarks,
+)
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.webcam import camera as camera_module
 from smooth_operator.teleop.sources.webcam import picture_tracker
 from smooth_operator.teleop.sources.webcam.camera import Camera
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    AXES,
     MEMORY_S,
     PATIENCE,
     SWITCH,
@@ -165,6 +174,7 @@ def test_what_is_no_video_is_refused_with_its_name(tmp_path, name):
         "webcam:0,rate=0",
         "video:a.mp4,speed=0",
         "video:a.mp4,points=depth",
+        "webcam:0,fov=5",
         "video",
     ],
 )
@@ -431,6 +441,41 @@ time.sleep(0.5)
     ended = python("-c", program)
     assert ended.returncode == 0, ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_size_of_the_palm_gives_the_place_of_the_wrist(fake, monkeypatch, side):
+    """A hand of MediaPipe's size moves and turns in front of a camera of 70 degrees."""
+    focal, aspect, rng = 0.5 / np.tan(np.radians(35.0)), 0.75, np.random.default_rng(0)
+    shape = SyntheticOperator(side=side, seed=0).record(0.02).landmarks[0]
+    shape = (shape - shape[0]) @ AXES  # in the camera's axes
+    size = np.linalg.norm(shape[9]) + np.linalg.norm(shape[5] - shape[17])
+    shape *= 0.157 / size
+    places, poses = [], []
+    for place in ([0.0, 0.0, 0.5], [0.1, -0.05, 0.4], [-0.15, 0.1, 0.8]):
+        turn = from_rotation_vectors(rng.normal(0.0, 0.3, 3))
+        there = rotate(turn, shape) + place
+        # The tracker's own hand has another size, and is turned as seen along its ray.
+        flat = np.stack([there[:, 0], there[:, 1], 0 * there[:, 2]], axis=1) / there[:, 2:]
+        picture = focal * flat + [0.5, 0.5 * aspect, 0.0]
+        world = 1.07 * rotate(from_rotation_vectors(np.array([0.05, -0.04, 0.0])), there - there[0])
+        hand = SeenHand(side, 0.9, world, picture, np.ones(21, bool))
+        monkeypatch.setattr(Fake, "find", lambda self, pixels, time, hand=hand: [hand])
+        tracker = PictureTracker(PictureConfig(fov=70.0))
+        (frame,) = tracker.frames(np.zeros((480, 640, 3), np.uint8), 0.0)
+        assert frame.T_world_wrist is not None
+        assert frame.world == "camera"
+        places.append(frame.T_world_wrist[:3])
+        np.testing.assert_allclose(places[-1], AXES @ place, atol=2e-3)
+        expected = wrist_from_landmarks((there - there[0]) @ AXES.T, side)
+        poses.append(separation(frame.T_world_wrist, expected)[1])
+    assert max(poses) < 0.03
+    outside = np.ones(21, bool)
+    outside[17] = False
+    hand = SeenHand(side, 0.9, world, picture, outside)
+    monkeypatch.setattr(Fake, "find", lambda self, pixels, time: [hand])
+    (frame,) = PictureTracker(PictureConfig(fov=70.0)).frames(np.zeros((480, 640, 3), np.uint8), 0)
+    assert not is_valid(frame.T_world_wrist)
 
 
 PERIOD = 1 / 30

@@ -38,6 +38,11 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             fist). Its key is ``gripper.pos`` (0 closed, 100 open), or that of ``wrist``. Empty for
             ``pinch`` with ``arm`` and with a ``wrist`` that has a gripper, otherwise for no
             gripper.
+        wrist_scale: ratio of the robot's translation to the operator's, if the loop runs in this
+            process; otherwise ``teleop --wrist.scale`` sets it.
+        wrist_yaw: direction of the tracker's x axis in the robot's base, counterclockwise
+            [degrees], if the loop runs in this process (``teleop --wrist.yaw``): 180 with a camera
+            that faces the operator.
         delta_step_m: translation that the value 1 stands for with ``wrist=delta`` [m]; LeRobot's
             ``end_effector_step_sizes``.
         timeout_s: longest time that ``connect`` waits for the first command [s].
@@ -69,6 +74,8 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     offsets: dict[str, float] = field(default_factory=dict)
     wrist: str = "none"
     gripper: str = ""
+    wrist_scale: float = 1.0
+    wrist_yaw: float = 0.0
     delta_step_m: float = 0.025
     timeout_s: float = 5.0
     hold_s: float = 2.0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
+import math
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -98,6 +100,8 @@ class InProcess:
         operator: file of the operator's calibration, which the loop updates at its end; None for
             none.
         bind: inputs of the operator's actions, as for ``--bind``.
+        wrist_scale: ratio of the robot's translation to the operator's.
+        wrist_yaw: direction of the tracker's x axis in the robot's base [degrees].
 
     Raises:
         ImportError: smooth-operator is not installed.
@@ -114,10 +118,13 @@ class InProcess:
         wrist_joints: bool = True,
         operator: Path | None = None,
         bind: Sequence[str] = (),
+        wrist_scale: float = 1.0,
+        wrist_yaw: float = 0.0,
     ) -> None:
         try:
             from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
             from smooth_operator.teleop import TeleopRequest, teleoperate
+            from smooth_operator.teleop.runtime.settings import WristConfig
         except ImportError as error:
             raise ImportError(
                 "a loop in this process needs smooth-operator: python -m pip install "
@@ -138,6 +145,7 @@ class InProcess:
             methods=(method,),  # compiled before the first action
             operator=operator,
             bind=tuple(bind),
+            wrist=WristConfig(scale=wrist_scale, yaw=math.radians(wrist_yaw)),
         )
 
         def started(loop: Any) -> None:
@@ -162,5 +170,7 @@ class InProcess:
         atexit.unregister(self.close)
         self._ending.set()
         if self._loop is not None:
-            self._loop.controls.quit()
+            # At a program's end no thread can start that wakes the loop; its next turn ends it.
+            with contextlib.suppress(RuntimeError):
+                self._loop.controls.quit()
         self._thread.join(_PATIENCE_S)

@@ -350,6 +350,8 @@ class SmoothOperator(Teleoperator):
                 wrist_joints=config.wrist == "none",
                 operator=self.operator_file,
                 bind=config.bind,
+                wrist_scale=config.wrist_scale,
+                wrist_yaw=config.wrist_yaw,
             )
         else:
             feed = Subscription(config.address, self._newest)
@@ -554,7 +556,15 @@ def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
         raise ValueError(f"wrist must be one of {', '.join(_WRIST_KEYS)}, not {config.wrist!r}")
     if config.wrist == "delta" and (config.side == "both" or config.joints or config.arm):
         raise ValueError("wrist=delta is for one hand, without joints and arm: remove them")
-    check_numbers(config, positive=("delta_step_m",), not_negative=("timeout_s", "hold_s"))
+    positive = ("delta_step_m", "wrist_scale")
+    check_numbers(
+        config, positive=positive, not_negative=("timeout_s", "hold_s"), finite=("wrist_yaw",)
+    )
+    if not config.source and (config.wrist_scale, config.wrist_yaw) != (1.0, 0.0):
+        raise ValueError(
+            "wrist_scale and wrist_yaw are for a loop in this process (source); give "
+            "--wrist.scale and --wrist.yaw to teleop"
+        )
     left = config.left_joints or config.joints
     named = {**config.joints, **{f"{name} (left)": key for name, key in left.items()}}
     about: dict[str, Mapping[str, object]] = {

@@ -23,16 +23,16 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError, reason
 from smooth_operator.landmarks import WRIST
-from smooth_operator.poses import axes, points_to_ours, wrist_from_landmarks
+from smooth_operator.poses import points_to_ours, wrist_from_landmarks
 from smooth_operator.teleop.sources.webcam.camera import Picture
-from smooth_operator.teleop.sources.webcam.picture_tracker import PictureTracker, SeenHand
+from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    AXES,
+    WORLD,
+    PictureTracker,
+    SeenHand,
+)
 from smooth_operator.teleop.sources.webcam.webcam_source import Webcam
 from smooth_operator.types import HandFrame, Side
-
-WORLD: Final = "camera"
-"""Name of the world frame: the camera's place, x in the direction of view, z up in the picture."""
-AXES: Final = axes("z", "-x", "-y")
-"""Our axes in those of the camera: x right in the picture, y down, z in the direction of view."""
 
 _WINDOW: Final = 4  # pixels around the wrist whose depth counts
 _SIZES: Final = (0.6, 1.6)  # smallest and largest hand, as multiples of MediaPipe's
@@ -126,6 +126,8 @@ class DepthCamera(Webcam):
         super().__post_init__()
         if self.mirrored:
             raise ConfigError(f"{self.label} does not mirror pictures; leave out mirrored=true")
+        if self.fov is not None:
+            raise ConfigError(f"{self.label} measures where the wrist is; leave out fov")
         sizes: dict[Side, deque[float]] = defaultdict(lambda: deque(maxlen=_NEWEST))
         object.__setattr__(self, "_sizes", sizes)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import http.client
+import math
 import os
 import sys
 import tempfile
@@ -24,11 +25,18 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.own_files import make_private
+from smooth_operator.poses import axes, points_to_ours, wrist_from_landmarks
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.sources.webcam.camera import SYSTEM_LIBRARIES, opencv
 from smooth_operator.types import HandFrame, Side, as_side
 from smooth_operator.user_folders import user_cache
 
 Points: TypeAlias = Literal["world", "picture"]
+
+WORLD: Final = "camera"
+"""Name of the world frame: the camera's place, x in the direction of view, z up in the picture."""
+AXES: Final = axes("z", "-x", "-y")
+"""Our axes in those of the camera: x right in the picture, y down, z in the direction of view."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +50,8 @@ class PictureConfig:
         points: ``world`` for the tracker's own positions in metres; ``picture`` for its positions
             in the picture, scaled to the same size.
         model: the hand-landmarker file; None for the published one, which is downloaded once.
+        fov: horizontal field of view of the camera [degrees], with which the size of the palm in
+            the picture gives the place of the wrist; None for no wrist.
     """
 
     mirrored: bool = False
@@ -49,6 +59,7 @@ class PictureConfig:
     confidence: float = 0.5
     points: Points = "world"
     model: Path | None = None
+    fov: float | None = None
 
     def __post_init__(self) -> None:
         if self.max_hands not in (1, 2):
@@ -57,6 +68,8 @@ class PictureConfig:
             raise ConfigError(f"confidence must be between 0 and 1, not {self.confidence}")
         if self.points not in ("world", "picture"):
             raise ConfigError(f"points must be world or picture, not {self.points!r}")
+        if self.fov is not None:
+            check_range("fov", self.fov, 20.0, 150.0, "degrees")
 
 
 class PictureTracker:
@@ -78,8 +91,9 @@ class PictureTracker:
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
         """Finds the hands in a picture, at most one of each side; ``time`` [s] becomes their stamp.
         SourceError if MediaPipe failed."""
+        height, width = pixels.shape[:2]
         return [
-            HandFrame(landmarks_of(hand, self._config.points), time, side, valid=hand.inside)
+            self._frame(side, hand, time, height / width)
             for side, hand in self.hands(pixels, time).items()
         ]
 
@@ -94,6 +108,41 @@ class PictureTracker:
     def close(self) -> None:
         """Closes the model; a second call does nothing."""
         self._landmarker.close()
+
+    def _frame(self, side: Side, hand: SeenHand, time: float, aspect: float) -> HandFrame:
+        points = landmarks_of(hand, self._config.points)
+        if self._config.fov is None:
+            return HandFrame(points, time, side, valid=hand.inside)
+        place, turn = self._seen_from(hand, self._config.fov, aspect)
+        points = points_to_ours((points - points[WRIST]) @ turn.T, AXES)
+        pose = wrist_from_landmarks(points, side)
+        pose[:3] = points_to_ours(place, AXES)
+        return HandFrame(points, time, side, valid=hand.inside, T_world_wrist=pose, world=WORLD)
+
+    def _seen_from(
+        self, hand: SeenHand, fov: float, aspect: float
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """Place of the wrist [m] (NaN if the palm is not all in the picture) and rotation of
+        ``hand.world``, in the camera's axes.
+
+        The palm, which is rigid, gets the size of an average hand, so the place is exact up to one
+        factor. The tracker's own size of it varies by a tenth.
+        """
+        palm = hand.world[[*_PALM]] - hand.world[WRIST]
+        size = float(np.linalg.norm(palm[2]) + np.linalg.norm(palm[1] - palm[4]))
+        if size < _TINY or not hand.inside[[*_PALM]].all():
+            return np.full(3, np.nan), np.eye(3)
+        focal = 0.5 / math.tan(math.radians(fov) / 2)  # over the width of the picture
+        lens = np.array([[focal, 0.0, 0.5], [0.0, focal, 0.5 * aspect], [0.0, 0.0, 1.0]])
+        pixels = np.ascontiguousarray(hand.picture[[*_PALM], :2])
+        away = focal * size / max(float(np.ptp(pixels, axis=0).max()), _TINY)
+        begin = np.array([[0.0], [0.0], [away]])
+        found, turn, place = self._cv2.solvePnP(
+            palm * (_PALM_M / size), pixels, lens, None, np.zeros((3, 1)), begin, True
+        )
+        if not found or place[2, 0] <= 0.0:
+            return np.full(3, np.nan), np.eye(3)
+        return place[:, 0], self._cv2.Rodrigues(turn)[0]
 
 
 def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
@@ -122,6 +171,9 @@ SAME: Final = 0.5
 """Distance below which two detections count as the same hand, in lengths of the palm."""
 
 _PALM: Final = (WRIST, *BASES[1:])
+_PALM_M: Final = 0.157
+"""Distance from wrist to middle MCP, and from index MCP to pinky MCP, of MediaPipe's hand [m]."""
+_TINY: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
