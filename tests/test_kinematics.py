@@ -10,7 +10,7 @@ import pytest
 from trees import float64, limited_poses, mujoco_points, random_model, random_palm
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.differential import PointKinematics, moments
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.registry import load_hand
 
@@ -156,7 +156,7 @@ def test_points_with_derivatives(seed):
             jacobian = motion_of.jacobian(motion)
             some = motion_of.jacobian(motion, np.array([2, 1]))
             along = motion.along(motion.points[-1:], jnp.asarray(force[-1:]))
-            total = motion_of.moves.T @ motion_of.moments(motion, force)
+            total = motion_of.moves.T @ moments(motion.points, force)
             return motion.points, jacobian, some, along, motion_of.derivatives(motion, total)
 
         program = jax.jit(derivatives)

@@ -142,7 +142,7 @@ def test_commands_stay_within_limits_and_bad_frames_hold(hand, retargeter):
         assert (result.command.joint_positions <= high + 1e-9).all()
         if result.status != Status.OK:
             held.append(i)
-            assert state.others is before.others  # nothing of the frame is remembered
+            assert state.words is before.words  # nothing of the frame is remembered
     assert held == [10, 11, 12, 20]
 
 

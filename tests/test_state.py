@@ -48,13 +48,6 @@ def test_arrays_of_other_kinds_stay_as_they_are():
     np.testing.assert_array_equal(state.q, Q)
 
 
-def test_a_state_of_a_solver_on_the_host_stays_as_it_is():
-    state = RetargetState.of(FrameState(TREE, Q), joined=False)
-    assert state.words.size == 0
-    assert state.trees.method["positions"] is TREE["positions"]
-    assert same(state.trees, FrameState(TREE, Q))
-
-
 def test_a_state_is_a_tree_of_one_array():
     state = RetargetState.of(FrameState(TREE, Q))
     assert len(jax.tree.leaves(state)) == 1

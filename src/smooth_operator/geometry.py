@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 AnyArray: TypeAlias = Array | np.ndarray
 """NumPy (float64, on the host) or JAX (traceable)."""
@@ -108,6 +108,13 @@ def umeyama(
     apart &= spread_t > rounding * (target**2).sum(axis=(-2, -1))
     condition = xp.where(apart, s2 / xp.maximum(s1, tiny), 0)
     return Similarity(rotation, translation, ratio, condition)
+
+
+def lengths(vectors: Float[Array, "*n 3"], least: float = 0.0) -> Float[Array, "*n"]:
+    """Lengths of vectors: square roots of the sums of squares plus ``least``, which keeps the
+    derivative of a zero vector finite."""
+    squares = (vectors * vectors).sum(-1)
+    return jnp.sqrt(squares + least if least else squares)
 
 
 def smooth_step(share: Array) -> Array:

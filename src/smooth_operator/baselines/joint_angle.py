@@ -94,9 +94,6 @@ class JointAngleMap:
         q: AnyKind = xp.clip(angles @ gains + offsets, low, high)
         return q
 
-    def __str__(self) -> str:
-        return format_map(self.rows)
-
 
 @dataclass(frozen=True)
 class JointAngleConfig(MethodConfig):
@@ -220,17 +217,6 @@ def map_matrix(
     """Gains and offsets of a map."""
     gains = [[row.gains.get(angle, 0.0) for angle in JOINT_ANGLES] for row in rows]
     return np.array(gains), np.array([row.offset for row in rows])
-
-
-def format_map(rows: Sequence[JointMap]) -> str:
-    """Formats a map as text, in radians, with a line per joint, such as
-    ``index_pp2mp = 0.35 + 0.49 index_pip + 0.51 index_dip``."""
-    width = max(len(row.joint) for row in rows)
-    lines = []
-    for row in rows:
-        terms = "".join(f" {'-' if g < 0 else '+'} {abs(g):.2f} {a}" for a, g in row.gains.items())
-        lines.append(f"{row.joint:<{width}} = {row.offset:+.3f}{terms}")
-    return "\n".join(lines)
 
 
 def _derived(hand: Hand) -> tuple[Float[np.ndarray, "m 20"], Float[np.ndarray, " m"]]:

@@ -212,7 +212,7 @@ class SlsqpMethod(Method):
             loss = float(output.tracking_loss)
             if not np.isfinite(output.q).all():
                 return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
-            state = RetargetState.of(FrameState(after, np.asarray(output.q)), joined=False)
+            state = RetargetState.of(FrameState(after, np.asarray(output.q)))
             return state, FrameResult(output.q, int(code), loss, scale)
 
         return run

@@ -63,13 +63,11 @@ class PointKinematics:
     @cached_property
     def levels(self) -> tuple[tuple[int, ...], ...]:
         """Indices into ``tree.joints``, grouped by depth."""
-        depth: list[int] = []
-        for joint in self.tree.joints:
-            depth.append(0 if joint.parent < 0 else depth[joint.parent] + 1)
-        return tuple(
-            tuple(i for i, d in enumerate(depth) if d == level)
-            for level in range(max(depth, default=-1) + 1)
-        )
+        levels: list[tuple[int, ...]] = []
+        above: tuple[int, ...] = (-1,)
+        while above := tuple(i for i, j in enumerate(self.tree.joints) if j.parent in above):
+            levels.append(above)
+        return tuple(levels)
 
     @cached_property
     def _flat(self) -> list[int]:
@@ -138,17 +136,11 @@ class PointKinematics:
         result = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
 
-    def moments(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
-        """Moments p g^T and g of each point p, as input of ``derivatives``. The gradient g with
-        respect to the points counts as constant."""
-        moments = (motion.points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
-        return jnp.concatenate([moments, gradient], axis=1)
-
     def derivatives(
         self, motion: PointMotion, total: Float[Array, "J 12"]
     ) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
         """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints, from
-        (J, 12) ``moves.T @ moments``."""
+        (J, 12) ``moves.T @ moments(points, gradient)``."""
         # With w_fj = a_j x p_f + o_j, they are sums of g . w_fj, and of g . (a_i x w_fj) for i
         # above j. Points enter only by their moments p g^T and g, summed over the points of j.
         axes, speeds = motion.hinge_axes, motion.origin_speeds
@@ -160,6 +152,13 @@ class PointKinematics:
         above = jnp.asarray(self.above)
         second = jnp.where(above, upper, jnp.where(above.T, upper.T, 0.0))
         return (axes * twist).sum(-1) + (speeds * force).sum(-1), second
+
+
+def moments(points: Float[Array, "F 3"], gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
+    """Moments p g^T and g of each point p, as input of ``PointKinematics.derivatives``. The
+    gradient g with respect to the points counts as constant."""
+    products = (points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
+    return jnp.concatenate([products, gradient], axis=1)
 
 
 def all_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:

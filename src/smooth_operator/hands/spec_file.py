@@ -1,50 +1,8 @@
 """Spec files: descriptions of robot hands as small TOML files.
 
-::
-
-    format = 1
-    name = "pincer"
-    side = "right"
-    source = "measured in our lab"      # optional: where the numbers come from
-    model = "pincer.xml"                # MJCF or URDF, relative to this file
-    mirror = false                      # optional: the model is the other hand's
-    gripper = false                     # optional: two jaws, which either human hand drives
-    palm = "palm"                       # body whose frame is the palm frame
-    wrist = { body = "palm", offset = [0.0, 0.0, -0.03] }
-    align = ["wrist", "thumb", "index"] # optional
-    wrist_joints = ["w1"]               # optional: joints from forearm to palm
-
-    [fingers.thumb]                     # named after the human finger that drives it
-    cmc = { body = "t1" }
-    tip = { body = "t2", offset = [0.0, 0.0, 0.02] }
-
-    [fingers.index]
-    mcp = { body = "i1" }
-    pip = { body = "i2" }
-    dip = { body = "i3" }
-    tip = { body = "i3", offset = [0.0, 0.0, 0.02] }
-
-    [neutral]                           # optional: joint -> position [rad]
-    i1 = 0.3
-
-    [torque]                            # optional: joint -> torque limit of its motor [N m];
-    i1 = 0.7                            # or, before the tables: torque = 0.7, for all joints
-
-    [couplings.i2]                      # optional: i2 = multiplier * i1 + offset [rad]
-    follows = "i1"
-    multiplier = 0.89
-    offset = 0.0
-
-    [couplings.i3]                      # or a polynomial of up to the fourth power:
-    follows = "i1"                      # i3 = 0.75 i1 + 0.2 i1^2
-    coefficients = [0.0, 0.75, 0.2]     # constant first
-
-    [joint_map.i1]                      # optional: map from human joint angles to a joint
-    offset = 0.0
-    gains = { index_mcp = 1.0 }
-
-Offsets are in the body's frame [m]. The points of a finger are the counterparts of its human
-landmarks; the first and the tip are needed. ``HandSpec`` explains each entry.
+docs/how-to/hands.md has a complete example. Offsets are in the body's frame [m]. The points of a
+finger are the counterparts of its human landmarks; the first and the tip are needed. ``HandSpec``
+explains each entry.
 """
 
 from __future__ import annotations

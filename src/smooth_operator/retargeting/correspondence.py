@@ -21,11 +21,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import smooth_step
+from smooth_operator.geometry import lengths, smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.retargeting.gripper import Jaws
-from smooth_operator.settings import check_numbers
+from smooth_operator.settings import check_numbers, check_range
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
@@ -69,8 +69,7 @@ class CorrespondenceConfig:
             raise ConfigError(
                 f"correspondence.near {self.near} must be less than correspondence.far {self.far}"
             )
-        if self.share > 1:
-            raise ConfigError(f"correspondence.share must be 0 to 1, not {self.share}")
+        check_range("correspondence.share", self.share, 0, 1)
 
 
 class CorrespondenceState(NamedTuple):
@@ -115,24 +114,19 @@ class Correspondence:
         straight = self.hand.straight_pose
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
         rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
-        lengths = straight.reach.astype(np.float32)
+        reach = straight.reach.astype(np.float32)
         thumb = self.hand.fingers.index("thumb")
         low, high = self.hand.limits.T
         poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
         landmarks = [LANDMARKS[i] for i in self._chains[thumb] if LANDMARKS[i] in names]
         joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
-        lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
-        return points[rows].astype(np.float32), lengths
-
-    @cached_property
-    def _jaws(self) -> Jaws:
-        return Jaws(self.hand)
+        reach[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
+        return points[rows].astype(np.float32), reach
 
     def init(self) -> CorrespondenceState:
         """State before the first frame, with the robot's own finger lengths."""
-        bases, lengths = self.robot
-        state: CorrespondenceState = jax.device_put(CorrespondenceState(bases, lengths, bases))  # type: ignore[arg-type]
-        return state
+        bases, reach = self.robot
+        return CorrespondenceState(*jax.device_put((bases, reach, bases)))
 
     def step(
         self,
@@ -157,16 +151,15 @@ class Correspondence:
         """
         # joints between base and tip may be hidden; then the last lengths are used
         chains = aligned[self._chains]
-        bones = jnp.diff(chains, axis=1)
-        lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
-        known = jnp.isfinite(lengths)
+        total = lengths(jnp.diff(chains, axis=1)).sum(-1)
+        known = jnp.isfinite(total)
         operator = before._replace(
             bases=jnp.where(known[:, None], chains[:, 0], before.bases),
-            lengths=jnp.where(known, lengths, before.lengths),
+            lengths=jnp.where(known, total, before.lengths),
         )
-        size = jnp.sqrt((measured * measured).sum(-1))
+        size = lengths(measured)
         if self.hand.spec.gripper:
-            places, gain = self._jaws.places(operator.lengths[1], tips, self.config.press)
+            places, gain = Jaws(self.hand).places(operator.lengths[1], tips, self.config.press)
             size = jnp.full_like(size, size.sum())  # either fingertip opens both jaws
         else:
             places, gain, nearness = self._places(operator, tips)
@@ -205,10 +198,9 @@ class Correspondence:
         alone = tips + config.share * (alone - tips)
         gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
-        apart = jnp.sqrt((human * human).sum(-1) + _TINY)
+        apart = lengths(human, _TINY)
         close = smooth_step((config.far - apart) / (config.far - config.near))
-        away = tips[1:] - operator.bases[1:]
-        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
+        extension = lengths(tips[1:] - operator.bases[1:], _TINY) / operator.lengths[1:]
         # a high power, so that a thumb at the side of a pointing finger does not bend the finger
         nearness = close**3 * smooth_step(0.5 + (extension - config.folded) / _FOLDS)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
@@ -222,5 +214,4 @@ class Correspondence:
 
 def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:
     """Shortens vectors that exceed a length limit."""
-    length = jnp.sqrt((vectors * vectors).sum(-1, keepdims=True)) + _TINY
-    return vectors * jnp.minimum(1.0, most / length)
+    return vectors * jnp.minimum(1.0, most / (lengths(vectors)[:, None] + _TINY))

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.geometry import lengths
 from smooth_operator.settings import check_numbers
 
 SHAKE_AT_FIRST: Final = 1e-3
@@ -74,14 +75,8 @@ class FilterState(NamedTuple):
     @classmethod
     def unseen(cls, count: int) -> FilterState:
         """State before the first frame."""
-        zero, means, shake = jax.device_put(
-            (
-                np.zeros((count, 3), np.float32),
-                np.zeros((ORDER, count, 3), np.float32),
-                np.float32(SHAKE_AT_FIRST),
-            )
-        )
-        return cls(zero, zero, means, shake)
+        zero, means = (np.zeros((*more, count, 3), np.float32) for more in ((), (ORDER,)))
+        return cls(*jax.device_put((zero, zero, means, np.float32(SHAKE_AT_FIRST))))
 
 
 def filter_fingertips(
@@ -102,21 +97,18 @@ def filter_fingertips(
         beyond = beyond - mean
         means.append(mean + dt / (dt + SHORT) * beyond)
     # the median, because a flicking finger is not tracker noise
-    size = _median(_lengths(beyond)[:, 0])
+    size = _median(lengths(beyond, _TINY**2))
     grows = jnp.where(size < before.shake, STILL - 1, STILL) * dt / _ADAPTS
     shake = jnp.where(restart, before.shake, before.shake * jnp.exp(grows))
     step = measured - followed
-    step = step / (1 + (_lengths(step) / (config.jump + config.jump_speed * dt)) ** 2)
+    long = lengths(step, _TINY**2) / (config.jump + config.jump_speed * dt)
+    step = step / (1 + long[:, None] ** 2)
     followed = followed + step
-    left = (_lengths(followed - start) / (config.reach * (before.shake + _TINY))) ** 4
-    share = (config.share + left) / (1 + left)
+    left = (lengths(followed - start, _TINY**2) / (config.reach * (before.shake + _TINY))) ** 4
+    share = ((config.share + left) / (1 + left))[:, None]
     points = start + share * step
     points = points + dt / (dt + config.settle) * (followed - points)
     return FilterState(points, followed, jnp.stack(means), shake), points - start
-
-
-def _lengths(vectors: Float[Array, "n 3"]) -> Float[Array, "n 1"]:
-    return jnp.sqrt((vectors * vectors).sum(-1, keepdims=True) + _TINY**2)
 
 
 def _median(values: Float[Array, " n"]) -> Float[Array, ""]:

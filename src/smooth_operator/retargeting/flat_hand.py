@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.types import Side
+
 FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
     [
         (0.0, 0.0, 0.0),
@@ -37,3 +39,8 @@ FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
 It is the hand of the built-in operator, ``pose_hand(draw_anatomy(0.19, 0), zeros)`` of
 ``smooth_operator.synthetic``; a test compares the two. No hand model is needed.
 """
+
+
+def flat_hand(side: Side) -> Float[np.ndarray, "21 3"]:
+    """Landmarks of a flat hand of a side [m]; those of a left hand are mirrored."""
+    return FLAT_HAND * (1.0, 1.0 if side == "right" else -1.0, 1.0)

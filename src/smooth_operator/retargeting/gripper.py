@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from smooth_operator.geometry import lengths
 from smooth_operator.hands.hand import Hand
 
 _POSES: Final = 4096  # poses among which the closed and the open one are
@@ -51,8 +52,7 @@ class Jaws:
         w_min and w_max.
         """
         openings, path = (jnp.asarray(part, tips.dtype) for part in self._path)
-        human = tips[1] - tips[0]
-        apart = jnp.sqrt((human * human).sum() + _TINY)
+        apart = lengths(tips[1] - tips[0], _TINY)
         room = jnp.maximum(length - press, press)
         share = jnp.clip((apart - press) / room, 0.0, 1.0)
         opening = openings[0] + share * (openings[-1] - openings[0])

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from smooth_operator.hands.differential import (
     all_joints,
     before_curves,
     contracted,
+    moments,
 )
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
@@ -41,8 +42,6 @@ from smooth_operator.retargeting.targets import (
     VectorLayout,
 )
 from smooth_operator.settings import check_numbers
-
-T = TypeVar("T", bound="Term")
 
 TRANSITION: Final = 0.02
 """Error at which the smooth-L1 cost of keyvectors changes from quadratic to linear [m]. Quadratic
@@ -92,7 +91,7 @@ class Quadratic(NamedTuple):
 class Term:
     """Base class of the terms of an objective."""
 
-    def build(self: T, hand: Hand) -> T:
+    def build(self, hand: Hand) -> Self:
         """Returns the term for one hand; the term itself if it does not depend on the hand.
         ConfigError if the hand lacks what the term needs."""
         del hand
@@ -181,11 +180,6 @@ class RobotVectors:
         return tuple(i for i in self.layout.landmarks if keypoints[LANDMARKS[i]].joint >= 0)
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the moving points."""
-        return tuple(LANDMARKS[i] for i in self.moving)
-
-    @cached_property
     def incidence(self) -> Float[np.ndarray, "K P"]:
         """1 where a vector ends at a moving point, -1 where it begins at one."""
         return self._incidence(self.moving)
@@ -250,7 +244,7 @@ class VectorTerm(PointTerm):
 
     def points(self) -> tuple[str, ...]:
         """Landmarks at the ends of the vectors that a joint moves."""
-        return self.vectors.names
+        return tuple(LANDMARKS[i] for i in self.vectors.moving)
 
     @cached_property
     def which(self) -> slice:
@@ -429,13 +423,11 @@ class Objective:
         ]
         rows, weighted = _gauss_newton(each, motion)
         # the kinematics adds to the Hessian along the gradient
-        points, moves = (
-            np.concatenate([values[at] for at in slices])
-            for values in (np.arange(len(motion.points)), kinematics.moves)
-        )
+        of_terms = np.concatenate([np.arange(len(motion.points))[at] for at in slices])
         gradient = jnp.concatenate([one.gradient for one in each])
-        moments = kinematics.moments(motion._replace(points=motion.points[points]), gradient)
-        total = jnp.asarray(moves.T, q.dtype) @ moments
+        total = jnp.asarray(kinematics.moves[of_terms].T, q.dtype) @ moments(
+            motion.points[of_terms], gradient
+        )
         slope, curvature = kinematics.derivatives(motion, total)
         slope, hessian = before_curves(
             self.hand, q, kinematics.order, slope, weighted.T @ rows + curvature

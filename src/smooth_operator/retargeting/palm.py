@@ -10,7 +10,7 @@ import numpy as np
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import palm_alignment
-from smooth_operator.retargeting.flat_hand import FLAT_HAND
+from smooth_operator.retargeting.flat_hand import flat_hand
 
 _Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over alternatives
 
@@ -58,6 +58,5 @@ def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
     A robot's own wrist and knuckles seldom span a palm like a human's, so the directions are those
     of the built-in operator's hand, aligned like every frame.
     """
-    mirrored = hand.spec.side == "left"
-    landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if mirrored else FLAT_HAND
+    landmarks = flat_hand(hand.spec.side)
     return palm_axes(palm_alignment(landmarks, hand).apply(landmarks), hand.spec.side)

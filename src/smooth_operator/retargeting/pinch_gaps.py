@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.geometry import smooth_step
+from smooth_operator.geometry import lengths, smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.retargeting.alignment import palm_alignment
-from smooth_operator.retargeting.flat_hand import FLAT_HAND
+from smooth_operator.retargeting.flat_hand import flat_hand
 from smooth_operator.retargeting.known_gaps import check_gaps
 
 _HOLD: Final = 0.2  # time for which thumb and finger keep their distance in a contact [s]
@@ -40,7 +40,7 @@ _FALL: Final = 6  # exponent with which that fraction falls beyond a contact
 # extension of a finger (base-to-tip distance over length) below which it does not pinch
 _FOLDED: Final = 0.35
 _UNFOLDED: Final = 0.5  # extension above which a finger pinches like an open finger
-_TINY: Final = 1e-9
+_TINY: Final = 1e-18
 
 
 class PinchGapState(NamedTuple):
@@ -86,9 +86,9 @@ class PinchGapEstimate:
     @cached_property
     def palm(self) -> float:
         """Length of a human palm, wrist to middle knuckle, in the robot's palm frame [m]."""
-        flat = FLAT_HAND * (1.0, -1.0, 1.0) if self.hand.spec.side == "left" else FLAT_HAND
+        flat = flat_hand(self.hand.spec.side)
         scale = float(palm_alignment(flat, self.hand).scale)
-        return scale * float(np.linalg.norm(FLAT_HAND[BASES[2]] - FLAT_HAND[0]))
+        return scale * float(np.linalg.norm(flat[BASES[2]] - flat[0]))
 
     def step(
         self,
@@ -112,10 +112,10 @@ class PinchGapEstimate:
         fingers = np.array([FINGERS.index(name) for name in self.hand.fingers[1:]])
         bases, at = np.array(BASES)[fingers], np.array(TIPS)[fingers]
         chains = aligned[bases[:, None] + np.arange(4)]
-        bones = _length(jnp.diff(chains, axis=1)).sum(-1)
-        extension = _length(chains[:, -1] - chains[:, 0]) / bones
+        bones = lengths(jnp.diff(chains, axis=1), _TINY).sum(-1)
+        extension = lengths(chains[:, -1] - chains[:, 0], _TINY) / bones
         apart = (aligned[at] - aligned[TIPS[0]]) / self.palm
-        distance = _length(apart)
+        distance = lengths(apart, _TINY)
         state = self._estimated(state, distance, extension, dt, restart)
         unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
         over = (1 + np.array(_SPREAD)[fingers - 1]) * state.closed / distance
@@ -150,7 +150,3 @@ class PinchGapEstimate:
         last = jnp.where(contact, distance, state.last)
         closed = state.closed + dt / (dt + _LEAD) * (gap - state.closed)
         return PinchGapState(level, held, last, gap, closed, state.most)
-
-
-def _length(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    return jnp.sqrt((vectors * vectors).sum(-1) + _TINY**2)

@@ -11,8 +11,8 @@ import functools
 import inspect
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 import jax
@@ -61,7 +61,7 @@ class StateLayout:
     Attributes:
         structure: JAX's structure of the tree.
         shapes: shape of each leaf that has a kind.
-        kinds: kind of each leaf; None for a leaf that is not an array or is kept unchanged.
+        kinds: kind of each leaf; None for a leaf that is not an array.
     """
 
     structure: Any
@@ -69,10 +69,10 @@ class StateLayout:
     kinds: tuple[np.dtype | None, ...]
 
     @classmethod
-    def of(cls, state: FrameState, joined: bool = True) -> StateLayout:
-        """Layout of a state whose 32-bit arrays are joined into one, or all kept separate."""
+    def of(cls, state: FrameState) -> StateLayout:
+        """Layout of a state whose 32-bit arrays are joined into one."""
         leaves, structure = jax.tree.flatten(state)
-        kinds = tuple(getattr(leaf, "dtype", None) if joined else None for leaf in leaves)
+        kinds = tuple(getattr(leaf, "dtype", None) for leaf in leaves)
         return cls(structure, tuple(map(np.shape, leaves)), kinds)
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
@@ -100,11 +100,7 @@ class StateLayout:
         return cast(FrameState, jax.tree.unflatten(self.structure, leaves))
 
 
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["words", "others", "stamp", "answered"],
-    meta_fields=["layout"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class RetargetState:
     """Everything that a retargeter remembers between frames; a pytree.
@@ -120,16 +116,15 @@ class RetargetState:
 
     words: Float[Array, " n"] | Float[np.ndarray, " n"]
     others: tuple[Any, ...]
-    layout: StateLayout
+    layout: StateLayout = field(metadata={"static": True})
     stamp: float | None = None
     answered: tuple[float, int] | None = None
 
     @classmethod
-    def of(cls, state: FrameState, joined: bool = True) -> RetargetState:
-        """Creates a state from its trees; without ``joined``, for a solver on the host, all arrays
-        are kept separate."""
-        state = jax.device_get(state) if joined else state
-        layout = StateLayout.of(state, joined)
+    def of(cls, state: FrameState) -> RetargetState:
+        """Creates a state from its trees."""
+        state = jax.device_get(state)
+        layout = StateLayout.of(state)
         return cls(*layout.pack(state), layout)
 
     @cached_property
@@ -150,13 +145,8 @@ class RetargetState:
 
 def _as(part: Any, kind: np.dtype) -> Any:
     """Reinterprets bits as another 32-bit type; booleans become 0 or 1."""
-    if part.dtype.kind == "b":
-        return part.astype(kind)
-    if kind.kind == "b":
-        return part != 0
-    if isinstance(part, np.ndarray):
-        return part.view(kind)
-    return jax.lax.bitcast_convert_type(part, jnp.dtype(kind))
+    boolean = "b" in (part.dtype.kind, kind.kind)
+    return part.astype(kind) if boolean else part.view(kind)
 
 
 class FrameResult(NamedTuple):

@@ -25,7 +25,7 @@ from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.retargeting.compiled_program import ProgramCache
-from smooth_operator.retargeting.flat_hand import FLAT_HAND
+from smooth_operator.retargeting.flat_hand import flat_hand
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.presets import default_preset, preset_config
@@ -147,7 +147,7 @@ class Retargeter:
         else:
             method = self.method.continued(method, before.method)
         state = FrameState(method, self.hand.neutral.astype(np.float32))
-        return RetargetState.of(state, joined=not self.method.on_host)
+        return RetargetState.of(state)
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike
@@ -302,7 +302,7 @@ class Retargeter:
         """
         start = time.perf_counter()
         side, state = self.hand.spec.side, self.init()
-        landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if side == "left" else FLAT_HAND
+        landmarks = flat_hand(side)
         for stamp in (0.0, 0.01):  # the second frame has a state that the program returned
             state, result = self.step(state, HandFrame(landmarks, stamp, side))
             if result.status != Status.OK:

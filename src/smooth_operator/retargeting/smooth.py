@@ -18,6 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
+from smooth_operator.geometry import lengths
 from smooth_operator.hands.finger_circles import SHORTER, bends_past_straight
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.pose_table import PoseTable
@@ -162,6 +163,7 @@ class Smooth(Method):
         config: settings.
         motion: the term of fingertip motion.
         objective: the terms to minimise: those of Eq. (1), and six more.
+        layout: the vectors from wrist and thumb's tip to the fingertips, which the terms need.
         closing: closes the gaps of a tracker in pinches.
         correspondence: correspondence of human and robot fingers.
         pose_table: start poses for frames without a last command.
@@ -182,14 +184,10 @@ class Smooth(Method):
             PadDirection(hand, config.pad_weight),
         )
         self.objective = Objective(hand, config.objective, terms)
+        self.layout = cast(KeyvectorLayout, self.objective.layout)
         self.closing = PinchGapEstimate(hand)
         self.correspondence = Correspondence(hand, config.correspondence)
         self.pose_table = PoseTable(hand)
-
-    @property
-    def layout(self) -> KeyvectorLayout:
-        """The vectors from wrist and thumb's tip to the fingertips, which the terms need."""
-        return cast(KeyvectorLayout, self.objective.layout)
 
     @property
     def needs(self) -> tuple[int, ...]:
@@ -252,8 +250,7 @@ class Smooth(Method):
             state.filtered, measured, clock.dt, config.fingertips, clock.restart
         )
         tips, speeds = filtered.followed[1:], still[1:] - still[0]
-        off = (measured - state.filtered.followed)[1:]
-        leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
+        leaps = lengths((measured - state.filtered.followed)[1:]) > LEAP[0] + LEAP[1] * clock.dt
         leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
 
         # their targets on the robot
@@ -269,13 +266,11 @@ class Smooth(Method):
 
         def beyond(tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
             """Distance of fingertips from their targets, beyond that of the table's pose [m]."""
-            off = tips - places
-            return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - possible, 0.0)
+            return jnp.maximum(lengths(tips - places) - possible, 0.0)
 
         # weights; the coupling between two frames decreases with the time between them
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
-        speed = jnp.sqrt((speeds * speeds).sum(-1) + 1e-18) / clock.dt
-        slow = 1 / (1 + (speed / config.motion_speed) ** 2)
+        slow = 1 / (1 + (lengths(speeds, 1e-18) / clock.dt / config.motion_speed) ** 2)
         policy, human = config.objective.targets, self.layout.of_tips(places, origin)
         targets, latches = policy(state.targets, self.layout, human)
         latched = policy.latched(latches)
@@ -286,7 +281,7 @@ class Smooth(Method):
         if operator:  # the targets are within reach, so a lasting error means a wrong pose
             weights = weights / (1 + (beyond(arrival) / ASTRAY) ** 4)
         pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
-        pad = pad / jnp.sqrt((pad * pad).sum() + 1e-12)
+        pad = pad / lengths(pad, 1e-12)
         damping = config.pinch_damping * holds * damped
         goal = FrameGoal(*targets, state.q, damping, arrival, weights, pad)
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smooth_operator.geometry import AnyArray
+from smooth_operator.geometry import AnyArray, lengths
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.finger_circles import spread_joints
@@ -131,7 +131,7 @@ def _turned(
     """Weight times one minus the cosine between vectors and unit vectors. Returns the lengths of
     the vectors, rounded near 0 [m], the vectors over those, the cost, its first derivative, and its
     second across the vector; along it there is none."""
-    size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
+    size = lengths(vectors, _SHORT**2)
     unit = vectors / size[..., None]
     cosine = (aim * unit).sum(-1)
     slope = -(weight / size)[..., None] * (aim - cosine[..., None] * unit)
@@ -261,7 +261,7 @@ class DirectionLength(VectorTerm):
         # error + target, not the vectors themselves: a compiler shares the error with the keyvector
         # term, and the rounding decides when Newton steps stop
         vectors = errors + targets
-        goal_length = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
+        goal_length = lengths(targets, 1e-12)
         size, unit, cost, turn, curvature = _turned(
             vectors, targets / goal_length[:, None], config.direction
         )
@@ -337,7 +337,7 @@ class SelfCollision(PointTerm):
         ends = points.reshape(-1, 2, 3)[pairs.pairs]
         one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))
         apart, s, t = segments_apart(one, other)
-        distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
+        distance = lengths(apart, 1e-12)
         depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
         inside = jnp.maximum(depth, 0.0)
         scale = config.weight / TRANSITION

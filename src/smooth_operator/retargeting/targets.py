@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace, lengths
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.settings import check_numbers
 
@@ -178,8 +178,7 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
         self, state: Bool[Array, " P"], layout: KeyvectorLayout, human: Float[Array, "K 3"]
     ) -> tuple[Targets, Bool[Array, " P"]]:
         """Targets of one frame, and the latches after it."""
-        thumb = human[layout.thumb]
-        near = jnp.sqrt((thumb * thumb).sum(-1))
+        near = lengths(human[layout.thumb])
         state = jnp.where(state, near <= self.escape, near < self.project)
         from_wrist = np.arange(len(human)) < len(layout.fingers)
         weights = jnp.asarray(np.where(from_wrist, self.w_wrist, 0.0), human.dtype)

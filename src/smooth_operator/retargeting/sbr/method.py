@@ -13,28 +13,20 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
-from smooth_operator.retargeting.correspondence import (
-    Correspondence,
-    CorrespondenceConfig,
-    CorrespondenceState,
-)
 from smooth_operator.retargeting.method import (
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
 )
 from smooth_operator.retargeting.objective import FrameGoal, Objective
-from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import DexPilotTargets, ObjectiveConfig
 from smooth_operator.retargeting.sbr.random_numbers import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
-from smooth_operator.retargeting.targets import tips_of
 from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
-from smooth_operator.settings import check_numbers, is_off
+from smooth_operator.settings import check_numbers
 
 
 @dataclass(frozen=True)
@@ -51,8 +43,6 @@ class SbrConfig(ObjectiveMethodConfig):
             published, solves once, with the velocity term.
         settle_sigma: initial standard deviation of the sampler in these solutions [rad]; larger,
             because the first pose may be anywhere.
-        correspondence: fingertip targets by the correspondence of human and robot fingers, as in
-            ``smooth``; with share 0, as published, they are the human's fingertips.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -61,9 +51,6 @@ class SbrConfig(ObjectiveMethodConfig):
     polish: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=0))
     settle_rounds: int = 1
     settle_sigma: float = 0.4
-    correspondence: CorrespondenceConfig = field(
-        default_factory=lambda: CorrespondenceConfig(share=0.0)
-    )
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("settle_rounds", "settle_sigma"))
@@ -78,20 +65,6 @@ class SbrConfig(ObjectiveMethodConfig):
         return Sbr(hand, self)
 
 
-class OperatorState(NamedTuple):
-    """State of the correspondence between frames.
-
-    Attributes:
-        fingers: lengths of the operator's fingers, and the last fingertip targets.
-        tips: (F, 3) the human's fingertips in the last frame [m].
-        ticks: time of the last frame, in microseconds modulo 2^32.
-    """
-
-    fingers: CorrespondenceState
-    tips: Float[Array, "F 3"]
-    ticks: UInt32[Array, ""]
-
-
 class SbrState(NamedTuple):
     """Everything that SBR remembers between frames.
 
@@ -101,14 +74,12 @@ class SbrState(NamedTuple):
         seed: two words; they do not change.
         frames: number of frames with a command so far. With the seed, it determines the random
             numbers of a frame.
-        operator: state of the correspondence; empty without one.
     """
 
     q: Float[Array, " m"]
     targets: Any
     seed: UInt32[Array, "2"]
     frames: UInt32[Array, ""]
-    operator: OperatorState | tuple[()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,24 +99,14 @@ class Sbr(Method):
         """Wrist and fingertips."""
         return self.objective.layout.landmarks
 
-    @cached_property
-    def correspondence(self) -> Correspondence:
-        """The correspondence of human and robot fingers."""
-        return Correspondence(self.hand, self.config.correspondence)
-
     def init(self, seed: int) -> SbrState:
         """State with the neutral pose and the initial state of the target policy."""
-        operator: OperatorState | tuple[()] = ()
-        if not is_off(self.config.correspondence.share):
-            fingers = self.correspondence.init()
-            operator = OperatorState(fingers, fingers.places, jax.device_put(np.uint32(0)))
         seeds, frames = jax.device_put((seed_words(seed), np.uint32(0)))
         return SbrState(
             jax.device_put(self.hand.neutral.astype(np.float32)),
             self.config.objective.targets.init(self.objective.layout),
             seeds,
             frames,
-            operator,
         )
 
     def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
@@ -161,7 +122,7 @@ class Sbr(Method):
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SbrState, MethodOutput]:
         """Computes one frame; see ``Method.step``."""
-        aligned, operator = self._placed(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        del ticks
         config, limits, layout = self.config, self.hand.limits, self.objective.layout
         targets, policy_state = config.objective.targets(
             state.targets, layout, layout.human(aligned)
@@ -195,26 +156,8 @@ class Sbr(Method):
         else:
             q, cost = solve(0, state.q)
         tracking = cost - self.objective.regularisation(q, goal).cost
-        after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1), operator)
+        after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1))
         return after, MethodOutput(q, tracking)
-
-    def _placed(
-        self, state: SbrState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
-    ) -> tuple[Float[Array, "21 3"], OperatorState | tuple[()]]:
-        """Returns the landmarks with the fingertips at their targets, and the operator's state."""
-        before = state.operator
-        if not before:  # a tuple of arrays; empty without a correspondence
-            return aligned, ()
-        clock = FrameClock.of(now - before.ticks, state.frames)
-        at = np.array(tips_of(self.hand.fingers))
-        tips = aligned[at]
-        steps = jnp.where(clock.restart, 0.0, tips - before.tips)
-        fingers, *_ = self.correspondence.step(
-            before.fingers, aligned, tips, steps, steps, clock.dt, clock.restart
-        )
-        wrist = jnp.asarray(self.hand.wrist, aligned.dtype)
-        placed = aligned.at[at].set(fingers.places).at[WRIST].set(wrist)
-        return placed, OperatorState(fingers, tips, now)
 
 
 SBR_PAPER: Final = SbrConfig()
