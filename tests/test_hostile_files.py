@@ -315,15 +315,6 @@ def test_missing_permission_is_reported(tmp_path):
     assert "create it first" in str(output_error(tmp_path / "a" / "x.npz", missing))
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may do all")
-def test_no_permission_of_a_single_file(tmp_path, capsys):
-    path = good(tmp_path)
-    folder = tmp_path / "ro"
-    folder.mkdir(mode=0o500)
-    assert main(["retarget", str(path), "--output", str(folder / "x.npz")]) == 2
-    assert "permission denied" in capsys.readouterr().err
-
-
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="the system has no /proc")
 def test_no_file_in_proc(tmp_path, capsys):
     assert main(["retarget", str(good(tmp_path)), "--output", "/proc/x.npz"]) == 2

@@ -220,17 +220,6 @@ def test_links_are_followed_and_devices_left_alone(tmp_path):
     assert stat.S_ISFIFO(fifo.stat().st_mode)
 
 
-def test_full_disk(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-    with pytest.raises(OutputError, match="no space is left") as caught, atomic_write(path):
-        raise OSError(errno.ENOSPC, "No space left on device")  # as file.write does
-    assert caught.value.errno == errno.ENOSPC
-    assert isinstance(caught.value, OSError)
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_errors_about_other_files_are_not_relabelled(tmp_path):
     with pytest.raises(FileNotFoundError) as caught, atomic_write(tmp_path / "a.txt"):
         (tmp_path / "input.txt").read_bytes()
