@@ -127,7 +127,10 @@ SHARED = Path(__file__).resolve().parents[1] / "shared"
 LONG_FILES = (
     "test_lint.py",
     "test_live_page.py",
+    "test_webxr.py",
     "test_study_console_browser.py",
+    "test_bench.py",
+    "test_ui.py",
     "test_examples.py",
     "test_batch.py",
     "test_offline_smoother.py",
