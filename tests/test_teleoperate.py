@@ -303,3 +303,20 @@ def test_a_function_that_raises_stops_a_run_as_a_broken_wire_does():
     modes = [tick.mode for tick in kept.ticks]
     assert Mode.STOPPED not in modes[:20]
     assert modes[-1] is Mode.STOPPED
+
+
+def test_inputs_that_this_run_can_not_have_are_named(tmp_path):
+    notes: list[str] = []
+    reporter: Any = SimpleNamespace(note=lambda text, matters=False: notes.append(text))
+    table = tmp_path / "lab.toml"
+    table.write_text('[bindings]\nrecord = ["pedal:48", "pedal:30", "button:a"]\n')
+    asked = TeleopRequest(bind=(str(table),), feedback=("udp:127.0.0.1:9000",))
+    with pytest.raises(ConfigError, match="a sink that measures contact"):
+        teleoperate(asked, reporter=reporter)
+    assert notes == [
+        "pedal:48, pedal:30: no effect in this run; name its device with --pedal",
+        "button:a: no effect in this run; controllers need --source webxr",
+    ]
+    both = TeleopRequest(bind=("record=pinch:index",), side="both")
+    with pytest.raises(ConfigError, match="pinch:left-index or pinch:right-index"):
+        teleoperate(both, reporter=reporter)

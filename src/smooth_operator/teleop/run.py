@@ -165,15 +165,17 @@ def teleoperate(
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     commanded = [build_sink(sink) if isinstance(sink, str) else sink for sink in texts]
     bindings = read_bindings(request.bind, {name for each in commanded for name in each.actions})
-    if request.pedal is None and (codes := [one for one in bindings if "pedal:" in one]):
-        raise ConfigError(
-            f"{codes[0]} needs the pedal's device: --pedal /dev/input/by-id/usb-...-event-kbd"
-        )
     pinches = sides_of(bindings, sides)
     if source is None:
         source = build_source(request.source, "both" if pinches else side)
     if request.wrist_source is not None:
         source = _with_wrist(source, request.wrist_source, sides, operator, reporter)
+    for kind, there, remedy in (
+        ("pedal", request.pedal is not None, "name its device with --pedal"),
+        ("button", headset_in(source) is not None, "controllers need --source webxr"),
+    ):
+        if not there and (unused := [one for one in bindings if one.startswith(f"{kind}:")]):
+            reporter.note(f"{', '.join(unused)}: no effect in this run; {remedy}", matters=True)
     feedback = [build_feedback(text) for text in request.feedback]
     for output in feedback:
         output.use_source(source)

@@ -126,9 +126,8 @@ def action_table() -> str:
 
 
 def label_of(keys: Mapping[str, Sequence[str]], action: str) -> str:
-    """The keys of an action, as in `` (P)``; empty if it has none."""
-    shown = " or ".join(map(str.capitalize, keys.get(action, ())))
-    return f" ({shown})" if shown else ""
+    """The first key of an action, as in `` (P)``; empty if it has none."""
+    return f" ({shown[0].capitalize()})" if (shown := keys.get(action)) else ""
 
 
 def _table(path: Path) -> dict[str, list[str]]:
