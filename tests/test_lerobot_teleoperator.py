@@ -61,7 +61,7 @@ class Session:
     def __init__(self, plugin: SimpleNamespace, monkeypatch: Any, **settings: Any) -> None:
         self.clock, self.number, self.plugin = Clock(), 0, plugin
         feed = SimpleNamespace(error=None, close=lambda: None)
-        module = sys.modules[f"{TELEOPERATOR}.teleoperator"]
+        module = sys.modules[f"{TELEOPERATOR}.smooth_operator"]
         config = plugin.package.SmoothOperatorConfig(**settings)
         self.device = plugin.package.SmoothOperator(config, self.clock)
 

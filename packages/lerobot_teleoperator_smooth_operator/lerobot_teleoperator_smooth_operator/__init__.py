@@ -6,7 +6,7 @@ from lerobot_teleoperator_smooth_operator.landmark_steps import (
     LandmarksToEndEffector,
     LandmarksToJoints,
 )
-from lerobot_teleoperator_smooth_operator.teleoperator import SmoothOperator
+from lerobot_teleoperator_smooth_operator.smooth_operator import SmoothOperator
 
 __all__ = [
     "LandmarksToEndEffector",

@@ -12,7 +12,7 @@ from typing import Any
 
 from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
 from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
-from lerobot_teleoperator_smooth_operator.teleoperator import SmoothOperator
+from lerobot_teleoperator_smooth_operator.smooth_operator import SmoothOperator
 
 try:
     from lerobot.common.control_utils import sanity_check_dataset_robot_compatibility
