@@ -30,14 +30,6 @@ def _ask(hand: LinkerHand, *data: int, identifier: int | None = None) -> list[st
     return [answer.data.hex(" ") for answer in answers]
 
 
-@pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
-def test_linkerhand_answers_the_identifier_of_its_side_only(side, identifier):
-    hand = LinkerHand("O6", side)
-    assert hand.identifier == identifier
-    assert _ask(hand, 0x01, identifier=identifier) == ["01 ff ff ff ff ff ff"]
-    assert _ask(hand, 0x01, identifier=0x28 if identifier == 0x27 else 0x27) == []
-
-
 @pytest.mark.parametrize(
     ("model", "request_", "answers"),
     [
@@ -66,16 +58,6 @@ def test_linkerhand_frames_have_the_values_of_their_model(model, request_, answe
     assert _ask(LinkerHand(model, "right", clock=ManualClock()), *request_) == answers
 
 
-def test_linkerhand_answers_a_command_with_the_measured_positions():
-    clock = ManualClock()
-    hand = LinkerHand("L6", "left", clock=clock)
-    assert _ask(hand, 0x01, 0, 0, 0, 0, 0, 0) == ["01 ff ff ff ff ff ff"]
-    clock.advance(0.1)
-    assert _ask(hand, 0x01) == ["01 d7 d7 d7 d7 d7 d7"]
-    clock.advance(1)
-    assert _ask(hand, 0x01) == ["01 00 00 00 00 00 00"]
-
-
 def test_linkerhand_by_kind_and_by_finger_write_the_same_joints():
     clock = ManualClock()
     hand = LinkerHand("L21", "right", clock=clock)
@@ -84,19 +66,6 @@ def test_linkerhand_by_kind_and_by_finger_write_the_same_joints():
     clock.advance(5)
     assert _ask(hand, 0x03) == ["03 0a 14 1f 28 32"]
     assert _ask(hand, 0x43) == ["43 00 07 1f 00 00 09"]
-
-
-def test_linkerhand_touch_and_serial_number_come_in_several_frames():
-    hand = LinkerHand("O6", "left")
-    hand.touch["index"][1] = [1, 2, 3, 4]
-    rows = _ask(hand, 0xB2, 0xA4)
-    assert len(rows) == 10
-    assert rows[1] == "b2 10 01 02 03 04"
-    number = b"".join(bytes.fromhex(frame)[2:] for frame in _ask(hand, 0xC0))
-    assert number.rstrip(b"\0").decode() == hand.serial_number
-    lite = LinkerHand("L20 lite", "left")
-    assert [frame[3:5] for frame in _ask(lite, 0xC0)] == ["00", "06", "0c", "12"]
-    assert len(_ask(LinkerHand("L6", "left"), 0xB1, 0xC6)) == 12
 
 
 @pytest.mark.parametrize(

@@ -266,21 +266,6 @@ def test_dex3_types_have_the_names_and_fields_of_the_maker(dex3):
     assert dex3.ORDER["right"][3] == "index_0"
 
 
-def test_dex3_motor_is_free_until_its_mode_byte_says_on(dex3):
-    clock = ManualClock()
-    hand = dex3.Dex3Hand("left", clock=clock)
-    hand.obey(_dex3_command(dex3, 0.5, status=0))
-    clock.advance(1)
-    assert hand.motors.positions.tolist() == [0.0] * 7
-    hand.obey(_dex3_command(dex3, 0.5))
-    clock.advance(1)
-    assert [motor.q for motor in hand.state().motor_state] == [0.5] * 7
-    hand.reboot()
-    hand.obey(_dex3_command(dex3, 0.0, status=0))
-    clock.advance(1)
-    assert hand.motors.positions.tolist() == [0.5] * 7
-
-
 # --- Stand-ins of makers' Python packages
 
 from simulators import revo3_sdk, wuji_sdk, xhand_sdk  # noqa: E402
