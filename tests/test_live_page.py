@@ -599,7 +599,7 @@ def test_whatever_fails_or_waits_a_stop_from_the_page_stops(talk, capfd):
     assert talk.page.serve(session) == "http://here"
     trouble = "the page can't show the run: ValueError: zip() argument 2 is shorter"
     for _ in range(2):  # it is asked again and again
-        assert talk.link.look(text=True, scenery=0)["trouble"].startswith(trouble)
+        assert talk.link.look(text=True, scenery=0, pictures=())["trouble"].startswith(trouble)
     talk.link.do("keep")  # fails
     talk.link.do("record")  # takes its time
     talk.raw.write(b"no message\n[1, 2]\n")
@@ -624,11 +624,11 @@ def test_a_stop_between_two_loops_stops_the_next(talk):
     first, second, third = Clicked(), Clicked(), Clicked()
     waits: list[Any] = [first, second, third]
     talk.link.do("stop")
-    eventually(lambda: talk.link.look(text=True, scenery=0).get("stopped"))
+    eventually(lambda: talk.link.look(text=True, scenery=0, pictures=()).get("stopped"))
     talk.page.serve(waits[0])
     assert first.done == ["stop"]
     talk.page.change(PageSetup("leap_hand"))
-    assert talk.link.look(text=True, scenery=0)["setup"]["hand"] == "leap_hand"
+    assert talk.link.look(text=True, scenery=0, pictures=())["setup"]["hand"] == "leap_hand"
     talk.page.serve(waits[1])
     assert second.done == []  # the first one was released elsewhere
     second.stopped = True
