@@ -196,6 +196,8 @@ def test_a_task_is_drawn_where_the_physics_has_it(hand):
         boxes = [node for node in page.nodes if node.get("flat")]
         assert boxes
         assert all(node.get("side") is None for node in boxes)  # no tint of the robot's state
+        told = page.look()["hands"]["right"]
+        assert (told["palm"], told["size"]) == (None, None)  # it stays in front of the operator
         mount, state = simulation.scene_of("right").mount, simulation.scene_state("right")
         assert state is not None
         there = mount.in_palm(state.position, state.quaternion)[0]

@@ -251,7 +251,10 @@ class HeadsetView:
             "mode": state.get("mode", "waiting"),
             "latched": state.get("latched") or [],
         }
-        if state.get("human") is not None and (arrival := self._session.arrival(side)) is not None:
+        arrival = self._session.arrival(side)
+        if self._scene.has_task:  # the palm does not move, so it stays in front of the operator
+            told |= {"palm": None, "size": None}
+        elif arrival is not None and state.get("human") is not None:
             now = time.monotonic()
             if now >= self._next_fit.get(side, -np.inf):
                 self._next_fit[side] = now + _FIT_EVERY_S

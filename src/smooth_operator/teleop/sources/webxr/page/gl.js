@@ -13,10 +13,16 @@ export function program(gl, vertex, fragment) {
   return linked;
 }
 
+/** Location of a uniform; asked for once, since an answer takes long. */
+export function where(gl, what, name) {
+  what.places ??= {};
+  return (what.places[name] ??= gl.getUniformLocation(what, name));
+}
+
 export function use(gl, what, view, lens) {
   gl.useProgram(what);
-  gl.uniformMatrix4fv(gl.getUniformLocation(what, 'view'), false, view);
-  gl.uniformMatrix4fv(gl.getUniformLocation(what, 'lens'), false, lens);
+  gl.uniformMatrix4fv(where(gl, what, 'view'), false, view);
+  gl.uniformMatrix4fv(where(gl, what, 'lens'), false, lens);
 }
 
 export function feed(gl, what, buffer, attributes, stride) {
@@ -81,9 +87,9 @@ export class Signs {
   show(texture, place, size, light = 1) {
     const { gl } = this;
     gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.uniformMatrix4fv(gl.getUniformLocation(this.program, 'place'), false, place);
-    gl.uniform2fv(gl.getUniformLocation(this.program, 'size'), size);
-    gl.uniform1f(gl.getUniformLocation(this.program, 'light'), light);
+    gl.uniformMatrix4fv(where(gl, this.program, 'place'), false, place);
+    gl.uniform2fv(where(gl, this.program, 'size'), size);
+    gl.uniform1f(where(gl, this.program, 'light'), light);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 }

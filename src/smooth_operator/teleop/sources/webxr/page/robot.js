@@ -1,6 +1,6 @@
 // The robot hands, their arms and tasks, as the host describes them; see "view" in link.py.
 
-import { feed, fill, move, picture, pose, program, times, use } from './gl.js';
+import { feed, fill, move, picture, pose, program, times, use, where } from './gl.js';
 
 const LOOK_EVERY = 33; // ms
 const GIVE_UP = 2000; // ms without an answer, after which the page asks again
@@ -111,7 +111,7 @@ export class Robot {
     const placed = {};
     for (const [side, { node, palm, size }] of Object.entries(this.hands)) {
       const last = (this.last[side] ??= {});
-      if (palm) Object.assign(last, { palm, size });
+      if (palm !== undefined) Object.assign(last, { palm, size }); // null: it is drawn in front
       const hand = hands[side];
       if (hand && !Number.isNaN(hand[0] + hand[3])) {
         const [x, y, z, qx, qy, qz, qw] = hand;
@@ -135,7 +135,7 @@ export class Robot {
   draw(view, lens) {
     const { gl } = this;
     use(gl, this.program, view, lens);
-    const where = (name) => gl.getUniformLocation(this.program, name);
+    const at = (name) => where(gl, this.program, name);
     const solid = (node) => this.opacity(node) === 1;
     const meshes = this.nodes.filter((node) => node.vertices);
     for (const pass of [meshes.filter(solid), meshes.filter((node) => !solid(node))]) {
@@ -143,16 +143,16 @@ export class Robot {
         node.buffers ??= load(gl, node);
         feed(gl, this.program, node.buffers.points, [['place', 3, 0], ['normal', 3, 12]], 24);
         gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, node.buffers.faces);
-        gl.uniformMatrix4fv(where('frame'), false, this.nodes[node.parent].matrix);
-        gl.uniform4fv(where('tint'), this.state(node.side)?.[0] ?? CLEAR);
-        gl.uniform1i(where('facets'), node.flat);
-        for (let at = 0; at < node.count; at += INSTANCE) {
-          const one = node.values.subarray(at, at + INSTANCE);
+        gl.uniformMatrix4fv(at('frame'), false, this.nodes[node.parent].matrix);
+        gl.uniform4fv(at('tint'), this.state(node.side)?.[0] ?? CLEAR);
+        gl.uniform1i(at('facets'), node.flat);
+        for (let first = 0; first < node.count; first += INSTANCE) {
+          const one = node.values.subarray(first, first + INSTANCE);
           if (Number.isNaN(one[0])) continue;
-          gl.uniform3fv(where('at'), one.subarray(0, 3));
-          gl.uniform4fv(where('turn'), one.subarray(3, 7));
-          gl.uniform3fv(where('size'), one.subarray(7, 10));
-          gl.uniform4f(where('ink'), one[10], one[11], one[12], this.opacity(node));
+          gl.uniform3fv(at('at'), one.subarray(0, 3));
+          gl.uniform4fv(at('turn'), one.subarray(3, 7));
+          gl.uniform3fv(at('size'), one.subarray(7, 10));
+          gl.uniform4f(at('ink'), one[10], one[11], one[12], this.opacity(node));
           gl.drawElements(gl.TRIANGLES, node.buffers.count, gl.UNSIGNED_INT, 0);
         }
       }

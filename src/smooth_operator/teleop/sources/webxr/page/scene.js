@@ -1,7 +1,7 @@
 // Picture inside the headset: the joints as dots, a board with the state, and the stop button.
 
 import { FINGER_COLORS } from './colors.js';
-import { feed, fill, move, picture, program, Signs, times, use } from './gl.js';
+import { feed, fill, move, picture, program, Signs, times, use, where } from './gl.js';
 import { RADIUS } from './stop_button.js';
 
 const WRIST = [205, 205, 212];
@@ -86,7 +86,7 @@ export class Scene {
       this.signs.show(this.words, board, BOARD_SIZE);
       this.signs.show(this.disc, button, [2 * RADIUS, 2 * RADIUS]);
       use(gl, this.dots, matrix, lens);
-      gl.uniform1f(gl.getUniformLocation(this.dots, 'height'), port.height);
+      gl.uniform1f(where(gl, this.dots, 'height'), port.height);
       feed(gl, this.dots, this.joints, [['joint', 4, 0], ['colour', 3, 16]], 28);
       gl.drawArrays(gl.POINTS, 0, count);
     }
