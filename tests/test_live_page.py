@@ -373,6 +373,9 @@ def record(stage: Stage) -> Path:
 
 def test_takes_are_recorded_named_kept_and_discarded(stage):
     folder, page = stage.session.takes.folder, stage.session
+    said: list[str] = []
+    page.takes._say = said.append
+    actions = page.takes.actions  # of keys, pedals and pinches
 
     def refused(name: str, *words: Any) -> str:
         page.do(name, *words)
@@ -396,8 +399,12 @@ def test_takes_are_recorded_named_kept_and_discarded(stage):
     third = record(stage)  # nothing is decided: it stays when the next one begins
     assert record(stage) != third
     assert third.exists()
-    page.do("keep")
+    actions["keep"]()
     assert take(stage)["kept"] == 3
+    actions["discard"]()  # too late
+    assert said[:2] == ["recording take-001.mcap", "take ended: take-001.mcap"]
+    assert said[-2].startswith("take kept: take-0")
+    assert "record one first" in said[-1]
 
 
 def test_the_quality_of_a_take(stage):

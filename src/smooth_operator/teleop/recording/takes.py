@@ -169,7 +169,7 @@ class Takes:
             else:
                 self._begun, self._open = time.monotonic(), False
                 self._take = take
-                self._say(f"take: records {_names(take.paths)}")
+                self._say(f"recording {_names(take.paths)}")
 
 
 def _names(paths: Iterable[Path]) -> str:
