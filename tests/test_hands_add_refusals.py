@@ -296,6 +296,17 @@ def test_joints_without_couplings_are_a_note(run, tmp_path):
         assert (status, "check the maker's number of motors" in out) == (0, noted)
 
 
+def test_a_joint_that_follows_another_finger_is_a_note(run, tmp_path):
+    """As in a published model of LEAP Hand v2, where the PIP of the middle finger follows index."""
+    text = urdf(make_hand(5, coupled=True).parts)
+    (tmp_path / "h.urdf").write_text(text.replace('mimic joint="j19"', 'mimic joint="j11"'))
+    status, out, _ = run("h.urdf", "--name", "crossed")
+    assert status == 0
+    assert "j21 of the middle finger follows j11 of the index finger: check that" in out
+    (tmp_path / "h.urdf").write_text(text)
+    assert "follows j11 of" not in run("h.urdf", "--name", "crossed", "--overwrite")[1]
+
+
 def bare() -> Model:
     return make_hand(3, shapes=False)
 

@@ -323,12 +323,38 @@ def _trial(spec: HandSpec) -> tuple[Hand | None, tuple[str, ...]]:
         hand = load_hand_spec(spec)
     except SmoothOperatorError as error:
         return None, (f"the spec file is written, but can't be loaded yet: {error}",)
-    return hand, tuple(filter(None, [stand_in_note(hand), _motors_note(hand)]))
+    return hand, tuple(filter(None, [stand_in_note(hand), _motors_note(hand), _leader_note(hand)]))
+
+
+def _leader_note(hand: Hand) -> str | None:
+    """Note on a joint beyond the second of its finger that follows a joint of another finger."""
+    chains = {finger.name: _chain(hand, finger.tip.body) for finger in hand.spec.fingers}
+    for c in () if hand.spec.gripper else hand.couplings:
+        own = {name for name, chain in chains.items() if c.joint in chain[2:]}
+        other = {name for name, chain in chains.items() if c.follows in chain}
+        if own and other and not own & other:
+            return (
+                f"in the file, {c.joint} of the {min(own)} finger follows {c.follows} of the "
+                f"{min(other)} finger: check that, and correct it with --couple"
+            )
+    return None
+
+
+def _chain(hand: Hand, body: str) -> list[str]:
+    """Names of the joints from the palm to a body."""
+    model, chain = hand.model, []
+    at, palm = model.body(body).id, model.body(hand.spec.palm).id
+    while at not in (0, palm):
+        first = model.body_jntadr[at]
+        chain += [model.joint(j).name for j in range(first, first + model.body_jntnum[at])][::-1]
+        at = model.body_parentid[at]
+    return chain[::-1]
 
 
 def _motors_note(hand: Hand) -> str | None:
-    """Note on a model that names neither motors nor couplings, such as a URDF without mimic."""
-    if hand.couplings or hand.model.nu or len(hand.actuated) == 1:
+    """Note on a model without couplings: a URDF without mimic names no motors, and simulators
+    often give each joint a motor of its own."""
+    if hand.couplings or len(hand.actuated) == 1:
         return None
     return (
         f"the model has {len(hand.actuated)} joints and no couplings: check the maker's number of "

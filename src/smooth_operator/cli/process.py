@@ -99,8 +99,9 @@ def _set_up() -> None:
     rich.get_console().quiet = True  # viser's; what commands print is on consoles of their own
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # Of a maker's model: the attributes are of masses, which kinematics does not need.
-    warnings.filterwarnings("ignore", "compiler attribute .* is deprecated", UserWarning)
+    # Of a maker's model: masses and textures, which kinematics does not need.
+    for text in ("compiler attribute .* is deprecated", "obj_decoder: .* texture coordinate"):
+        warnings.filterwarnings("ignore", text, UserWarning)
     _keep_machine_code()
 
 
