@@ -8,6 +8,7 @@ Order: wrist, then per finger from base to tip. It is the order of MediaPipe's h
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 __all__ = (
@@ -102,6 +103,12 @@ Assembly101) has the tips, the wrist, two joints of the thumb, three of each fin
 centre of the palm, which takes the place of the thumb's CMC, because that is missing
 (``smooth_operator.io.landmark_order.in_our_order`` estimates it).
 """
+
+
+def finger_landmarks(fingers: Iterable[str]) -> list[list[int]]:
+    """Indices of the four landmarks of each finger, base to tip."""
+    bases = [BASES[FINGERS.index(finger)] for finger in fingers]
+    return [list(range(base, base + 4)) for base in bases]
 
 
 def index(name: str) -> int:

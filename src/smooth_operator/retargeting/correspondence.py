@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import lengths, smooth_step
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.landmarks import LANDMARKS, finger_landmarks
 from smooth_operator.retargeting.gripper import Jaws
 from smooth_operator.settings import check_numbers, check_range
 
@@ -99,12 +99,6 @@ class Correspondence:
     config: CorrespondenceConfig
 
     @cached_property
-    def _chains(self) -> np.ndarray:
-        """(F, 4) landmarks of each finger, base to tip."""
-        bases = [BASES[FINGERS.index(name)] for name in self.hand.fingers]
-        return np.array(bases)[:, None] + np.arange(4)
-
-    @cached_property
     def robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
         """Base positions (straight pose) and lengths of the robot's fingers [m].
 
@@ -113,12 +107,13 @@ class Correspondence:
         """
         straight = self.hand.straight_pose
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
-        rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
+        chains = finger_landmarks(self.hand.fingers)
+        rows = [names.index(LANDMARKS[chain[0]]) for chain in chains]
         reach = straight.reach.astype(np.float32)
         thumb = self.hand.fingers.index("thumb")
         low, high = self.hand.limits.T
         poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
-        landmarks = [LANDMARKS[i] for i in self._chains[thumb] if LANDMARKS[i] in names]
+        landmarks = [LANDMARKS[i] for i in chains[thumb] if LANDMARKS[i] in names]
         joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
         reach[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
         return points[rows].astype(np.float32), reach
@@ -150,7 +145,7 @@ class Correspondence:
             restart: True if there is no previous frame, or if it is too old.
         """
         # joints between base and tip may be hidden; then the last lengths are used
-        chains = aligned[self._chains]
+        chains = aligned[np.array(finger_landmarks(self.hand.fingers))]
         total = lengths(jnp.diff(chains, axis=1)).sum(-1)
         known = jnp.isfinite(total)
         operator = before._replace(

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.geometry import lengths, smooth_step
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import BASES, FINGERS, TIPS
+from smooth_operator.landmarks import BASES, TIPS, finger_landmarks
 from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.flat_hand import flat_hand
 from smooth_operator.retargeting.known_gaps import check_gaps
@@ -32,9 +32,9 @@ _MORE: Final = 0.11  # margin by which a gap may exceed the known one [palm leng
 _DOWN: Final = 0.5  # weight of a contact below the estimate
 _UP: Final = 0.1  # weight of a contact above the estimate
 _LEAD: Final = 0.3  # time constant with which the correction follows the estimate [s]
-# Fraction of a gap by which contacts may exceed it, index to little finger. An object held by the
+# Fraction of a gap by which contacts may exceed it, by finger. An object held by the
 # first two fingers appears just beyond a contact; the other fingers rarely hold anything.
-_SPREAD: Final = (0.12, 0.12, 0.25, 0.25)
+_SPREAD: Final = {"index": 0.12, "middle": 0.12, "ring": 0.25, "pinky": 0.25}
 _CLOSED: Final = 0.9  # fraction of a contact's distance that is closed
 _FALL: Final = 6  # exponent with which that fraction falls beyond a contact
 # extension of a finger (base-to-tip distance over length) below which it does not pinch
@@ -109,16 +109,17 @@ class PinchGapEstimate:
             dt: time since the last frame [s].
             restart: True if there is no previous frame, or if it is too old to count as motion.
         """
-        fingers = np.array([FINGERS.index(name) for name in self.hand.fingers[1:]])
-        bases, at = np.array(BASES)[fingers], np.array(TIPS)[fingers]
-        chains = aligned[bases[:, None] + np.arange(4)]
+        joints = np.array(finger_landmarks(self.hand.fingers[1:]))
+        at = joints[:, -1]
+        chains = aligned[joints]
         bones = lengths(jnp.diff(chains, axis=1), _TINY).sum(-1)
         extension = lengths(chains[:, -1] - chains[:, 0], _TINY) / bones
         apart = (aligned[at] - aligned[TIPS[0]]) / self.palm
         distance = lengths(apart, _TINY)
         state = self._estimated(state, distance, extension, dt, restart)
         unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
-        over = (1 + np.array(_SPREAD)[fingers - 1]) * state.closed / distance
+        spread = np.array([_SPREAD[name] for name in self.hand.fingers[1:]])
+        over = (1 + spread) * state.closed / distance
         share = unfolded * _CLOSED * jnp.minimum(over, 1.0) ** _FALL
         share = jnp.where(share > 0, share, 0.0)[:, None]  # NaN if bones are unknown
         near = jnp.minimum(2 * share, 1.0)

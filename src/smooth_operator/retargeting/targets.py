@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace, lengths
-from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.landmarks import WRIST, finger_landmarks
 from smooth_operator.settings import check_numbers
 
 
@@ -94,7 +94,7 @@ class KeyvectorLayout(VectorLayout):
 
 def tips_of(fingers: Sequence[str]) -> tuple[int, ...]:
     """Landmark indices of fingertips."""
-    return tuple(TIPS[FINGERS.index(finger)] for finger in fingers)
+    return tuple(chain[-1] for chain in finger_landmarks(fingers))
 
 
 class Targets(NamedTuple):

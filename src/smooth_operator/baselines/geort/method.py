@@ -19,12 +19,13 @@ from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.errors import ConfigError, HandModelError, brief, reason
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.landmarks import WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
 from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.targets import tips_of
 from smooth_operator.types import as_side
 
 _MODELS: Final = Path(__file__).parent / "models"
@@ -102,7 +103,7 @@ class Geort(Method):
     @property
     def needs(self) -> tuple[int, ...]:
         """Fingertips, and the wrist for the tracking loss."""
-        return (WRIST, *human_tips(self.hand))
+        return (WRIST, *tips_of(self.hand.fingers))
 
     @property
     def constants(self) -> Any:
@@ -120,7 +121,7 @@ class Geort(Method):
         """Computes one frame; see ``Method.step``."""
         del ticks
         layout, model = self.objective.layout, self.model
-        tips = aligned[np.array(human_tips(self.hand))]
+        tips = aligned[np.array(tips_of(self.hand.fingers))]
         flip = np.array([-1.0 if self.mirrored else 1.0, 1.0, 1.0])
         centre, scale = model.centre * flip, model.scale[:, None]
         inputs = ((tips - centre) / scale * flip).astype(jnp.float32)
@@ -184,11 +185,6 @@ def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array
     hidden = nn.silu(layer(weights.w1, weights.b1, inputs))
     hidden = nn.silu(layer(weights.w2, weights.b2, hidden))
     return jnp.tanh(layer(weights.w3, weights.b3, hidden))
-
-
-def human_tips(hand: Hand) -> tuple[int, ...]:
-    """Human landmarks that drive the hand's fingertips, thumb first."""
-    return tuple(TIPS[FINGERS.index(finger)] for finger in hand.fingers)
 
 
 def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:

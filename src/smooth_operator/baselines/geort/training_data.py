@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from smooth_operator.baselines.geort.method import finger_joints, human_tips
+from smooth_operator.baselines.geort.method import finger_joints
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.targets import tips_of
 from smooth_operator.settings import check_numbers, check_range
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
@@ -213,7 +214,7 @@ def _tips(
             f"{recording.name}: it shows a {recording.side} hand, but {hand.name!r} is a "
             f"{hand.spec.side} one; load the {recording.side} robot hand"
         )
-    return align_recording(recording, hand, alignment)[:, list(human_tips(hand))]
+    return align_recording(recording, hand, alignment)[:, list(tips_of(hand.fingers))]
 
 
 def _count_finite(tips: Float[np.ndarray, "T F 3"]) -> int:
