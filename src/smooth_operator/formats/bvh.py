@@ -27,10 +27,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import RecordingError, SmoothOperatorError, brief, listed
+from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.formats.arrays import LOG_RATIO, Allowance
 from smooth_operator.formats.checks import stamps_from_rate
-from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.poses import (
     axes,
@@ -143,18 +142,6 @@ class Skeleton:
     def width(self) -> int:
         """Number of values in a frame."""
         return sum(map(len, self.channels))
-
-    def with_positions(self, everywhere: bool) -> Skeleton:
-        """The skeleton with positions of all joints, or of the roots only, before the rotations."""
-        joints = zip(self.parents, self.channels, strict=True)
-        place = ("Xposition", "Yposition", "Zposition")
-        channels = tuple(
-            (place if everywhere or parent < 0 else ()) + tuple(c for c in own if c[1:] == _TURNS)
-            if own
-            else ()
-            for parent, own in joints
-        )
-        return Skeleton(self.names, self.parents, self.offsets, channels)
 
     @cached_property
     def _columns(self) -> tuple[Int[np.ndarray, "J 3"], Int[np.ndarray, "J 3"], np.ndarray]:
@@ -362,21 +349,6 @@ def read_skeleton(lines: Iterator[str]) -> Skeleton:
         f"the HIERARCHY of a BVH file has joints with OFFSET, CHANNELS and brackets, and ends with "
         f"MOTION; {brief(line.strip())} is out of place"
     )
-
-
-def read_skeleton_file(path: Path) -> Skeleton:
-    """Reads the skeleton of a BVH file and ignores its motion; RecordingError if the file can't be
-    opened, or it has no skeleton with a hand and fingers."""
-    try:
-        check_plain_file(path)
-        with path.open(encoding="utf-8-sig", errors="replace") as stream:
-            skeleton = read_skeleton(iter(stream))
-        assert skeleton.hands  # or it raises an error
-        return skeleton
-    except OSError as error:
-        raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
-    except SmoothOperatorError as error:
-        raise RecordingError(f"{path}: {error}") from error
 
 
 def _channel(kind: str) -> str:

@@ -31,10 +31,11 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, RecordingError, brief, listed
-from smooth_operator.formats.bvh import Skeleton, read_skeleton_file
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError, brief, listed
+from smooth_operator.formats.bvh import Skeleton, read_skeleton
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.headsets.repeats import Repeats
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.teleop.sources.inboxes import Inbox, Message, UdpInbox
 from smooth_operator.teleop.sources.payload import Reading, check_size
 from smooth_operator.teleop.sources.stream import Hands, OneSender, Reader, StreamSource, sides_of
@@ -106,7 +107,7 @@ class BvhStream(StreamSource):
 
     @cached_property
     def _skeleton(self) -> Skeleton:
-        return read_skeleton_file(self.skeleton)
+        return _read_skeleton_file(self.skeleton)
 
     def reader(self) -> Reader:
         """Reads the datagrams."""
@@ -114,7 +115,7 @@ class BvhStream(StreamSource):
         forms: dict[int, tuple[Skeleton, int]] = {}
         for skip in (0, _REFERENCE):
             own = self._skeleton
-            for form in (own, own.with_positions(True), own.with_positions(False)):
+            for form in (own, _with_positions(own, True), _with_positions(own, False)):
                 forms.setdefault(form.width + skip, (form, skip))
 
         def read(message: Message, received: float) -> Sequence[Reading]:
@@ -194,3 +195,31 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _read_skeleton_file(path: Path) -> Skeleton:
+    """Reads the skeleton of a BVH file and ignores its motion; RecordingError if the file can't be
+    opened, or it has no skeleton with a hand and fingers."""
+    try:
+        check_plain_file(path)
+        with path.open(encoding="utf-8-sig", errors="replace") as stream:
+            skeleton = read_skeleton(iter(stream))
+        assert skeleton.hands  # or it raises an error
+        return skeleton
+    except OSError as error:
+        raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
+    except SmoothOperatorError as error:
+        raise RecordingError(f"{path}: {error}") from error
+
+
+def _with_positions(skeleton: Skeleton, everywhere: bool) -> Skeleton:
+    """The skeleton with positions of all joints, or of the roots only, before the rotations."""
+    place = ("Xposition", "Yposition", "Zposition")
+    channels = tuple(
+        (place if everywhere or parent < 0 else ())
+        + tuple(c for c in own if c.endswith("rotation"))
+        if own
+        else ()
+        for parent, own in zip(skeleton.parents, skeleton.channels, strict=True)
+    )
+    return replace(skeleton, channels=channels)
