@@ -30,7 +30,6 @@ from smooth_operator.datasets.store import (
     Result,
     Results,
     Store,
-    clear_unfinished,
 )
 from smooth_operator.datasets.work import (
     Job,
@@ -204,7 +203,7 @@ def make_dataset(
     own = work if shard is None else work / "shard-{:05d}-of-{:05d}".format(*shard)
     own.mkdir(parents=True, exist_ok=True)
     with claimed(request.output if request.mirror else own):
-        clear_unfinished(own)
+        remove_leftovers([own, *(path for path in own.rglob("*") if path.is_dir())])
         frames = recipe.request.frames or ""
         items = [
             replace(item, frames=item.frames or frames)

@@ -82,6 +82,54 @@ FIGURES: Final = (
 each hand. The last four exist only for clips that were retargeted with their objects."""
 
 
+@dataclass(frozen=True)
+class Rule:
+    """How a limit judges an episode.
+
+    Attributes:
+        limit: name of the limit in ``Limits``; it begins with ``min`` or ``max``.
+        figure: ``seconds``, or the metric of each hand whose worse value is judged.
+        text: description of a value that violates the limit.
+        either: True if one good hand is enough when ``Limits.hands`` is ``any``.
+        cuts: True if the limit cuts clips, so that it judges only clips that stay whole.
+    """
+
+    limit: str
+    figure: str
+    text: str
+    either: bool = False
+    cuts: bool = False
+
+    def violation(self, figures: Mapping[str, float], limits: Limits) -> str | None:
+        """Describes the value that violates the limit; None if it is within, or unknown."""
+        values = [value for key, value in figures.items() if key.rpartition(".")[2] == self.figure]
+        if not values:
+            return None
+        lower, better = self.limit.startswith("min"), self.either and limits.hands == "any"
+        value = min(values) if lower != better else max(values)
+        bound = getattr(limits, self.limit)
+        violated = value < bound if lower else value > bound
+        return self.text.format(value) if violated else None
+
+
+RULES: Final = (
+    Rule("min_seconds", "seconds", "{:.2f} s long"),
+    Rule("min_valid", "valid", "a hand is seen in {:.0%} of the frames", either=True),
+    Rule(
+        "min_finger_motion",
+        "finger_motion_mm",
+        "the fingers never move: {:.1f} mm in the clip",
+        either=True,
+    ),
+    Rule("min_confidence", "confidence", "confidence {:.2f}", cuts=True),
+    Rule("max_jump", "jump_m_s", "a hand jumps at {:.1f} m/s", cuts=True),
+    Rule("max_gap", "gap_s", "no hand is seen for {:.1f} s", either=True, cuts=True),
+    Rule("max_collision", "collision", "links collide in {:.0%} of the frames"),
+    Rule("max_tip_error", "tip_error_mm", "fingertips are {:.0f} mm off"),
+    Rule("min_reach", "reach", "fingertips reach the human's in {:.0%} of the frames"),
+)
+
+
 Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
 
 
@@ -381,57 +429,9 @@ def _judged(
     episode: RobotClip, frames: slice, limits: Limits, motion: Mapping[str, float]
 ) -> RobotClip | Dropped:
     figures = {**quality_figures(episode), **motion}
-    reasons = dict(_reasons(figures, limits))
+    rules = (rule for rule in RULES if limits.whole or not rule.cuts)
+    violations = ((rule.limit, rule.violation(figures, limits)) for rule in rules)
+    reasons = {limit: text for limit, text in violations if text is not None}
     if reasons:
         return Dropped(episode.clip.name, (frames.start, frames.stop), reasons, figures)
     return replace(episode, figures=figures)
-
-
-def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
-    """Yields the limits that an episode violates, each with a description of the value."""
-    seconds = figures["seconds"]
-    if seconds < limits.min_seconds:
-        yield "min_seconds", f"{seconds:.2f} s long"
-    shares = [value for name, value in figures.items() if name.endswith(".valid")]
-    share = (max if limits.hands == "any" else min)(shares)
-    if share < limits.min_valid:
-        yield "min_valid", f"a hand is seen in {share:.0%} of the frames"
-    motions = [value for name, value in figures.items() if name.endswith(".finger_motion_mm")]
-    if motions:
-        motion = (max if limits.hands == "any" else min)(motions)
-        if motion < limits.min_finger_motion:
-            yield "min_finger_motion", f"the fingers never move: {motion:.1f} mm in the clip"
-    if limits.whole:
-        yield from _of_whole(figures, limits)
-    checks: tuple[tuple[str, str, float, str], ...] = (
-        (
-            "max_collision",
-            "collision",
-            limits.max_collision,
-            "links collide in {:.0%} of the frames",
-        ),
-        ("max_tip_error", "tip_error_mm", limits.max_tip_error, "fingertips are {:.0f} mm off"),
-        (
-            "min_reach",
-            "reach",
-            limits.min_reach,
-            "fingertips reach the human's in {:.0%} of the frames",
-        ),
-    )
-    for name, figure, limit, text in checks:
-        value = worst(figures, figure)
-        if value is not None and (value < limit if name.startswith("min") else value > limit):
-            yield name, text.format(value)
-
-
-def _of_whole(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
-    """Limits that would cut the clip, applied to a clip that stays whole."""
-    confidence, jump = worst(figures, "confidence"), worst(figures, "jump_m_s")
-    gaps = [value for name, value in figures.items() if name.endswith(".gap_s")]
-    gap = (min if limits.hands == "any" else max)(gaps)
-    if confidence is not None and confidence < limits.min_confidence:
-        yield "min_confidence", f"confidence {confidence:.2f}"
-    if jump is not None and jump > limits.max_jump:
-        yield "max_jump", f"a hand jumps at {jump:.1f} m/s"
-    if gap > limits.max_gap:
-        yield "max_gap", f"no hand is seen for {gap:.1f} s"

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, Final, TypeAlias, cast
 
 import numpy as np
 
-from smooth_operator.atomic_files import atomic_write, output_error, remove_leftovers
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.retargeting import SourceFile, shared_config
 from smooth_operator.datasets.sources import Item
@@ -120,23 +120,20 @@ class Store:
                     path.unlink()
         return packs
 
-    def remove_superseded(self, finished: Mapping[str, Result]) -> int:
-        """Deletes packs whose items are all in other packs; returns their number.
+    def remove_superseded(self, finished: Mapping[str, Result]) -> None:
+        """Deletes packs whose items are all in other packs.
 
         A worker of a killed run may finish its pack while the next run makes the same clips.
 
         Args:
             finished: name of item -> the result that is used.
         """
-        count = 0
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             with contextlib.suppress(OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 with _Pack(path) as pack:
                     names = [str(item["item"]) for item in pack.index["items"]]
                 if all(name in finished and finished[name].pack != path for name in names):
                     path.unlink()
-                    count += 1
-        return count
 
     def read(self, stored: Result) -> list[RobotClip]:
         """Reads the clips of an item. RecordingError if the pack is damaged; it is removed."""
@@ -218,13 +215,6 @@ def write_pack(
         content = to_json({"items": index, "configs": [*configs]})
         pack.writestr(zipfile.ZipInfo(INDEX, _DATE), content)
     return {each["item"]: _pack_entry(path, at, each["clips"]) for at, each in enumerate(index)}
-
-
-def clear_unfinished(folder: Path) -> int:
-    """Deletes the unfinished files of a killed run; returns their number."""
-    if not folder.is_dir():
-        return 0
-    return remove_leftovers([folder, *(path for path in folder.rglob("*") if path.is_dir())])
 
 
 class _Pack:

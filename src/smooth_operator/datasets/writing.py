@@ -17,7 +17,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.quality import FIGURES, Dropped, select, worst
+from smooth_operator.datasets.quality import FIGURES, RULES, Dropped, select, worst
 from smooth_operator.datasets.request import DATASET, DatasetRequest, Limits
 from smooth_operator.datasets.store import Result, Store
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
@@ -45,19 +45,8 @@ _CODE: Final = (
 clips."""
 
 _PERCENTILES: Final = (1, 5, 50, 95, 99)
-_LIMIT_OF: Final = {
-    "jump_m_s": "max_jump",
-    "confidence": "min_confidence",
-    "valid": "min_valid",
-    "gap_s": "max_gap",
-    "collision": "max_collision",
-    "tip_error_mm": "max_tip_error",
-    "reach": "min_reach",
-    "finger_motion_mm": "min_finger_motion",
-}
-_FIGURE_OF: Final = {limit: figure for figure, limit in _LIMIT_OF.items()} | {
-    "min_seconds": "seconds"
-}
+_LIMIT_OF: Final = {rule.figure: rule.limit for rule in RULES}
+_FIGURE_OF: Final = {rule.limit: rule.figure for rule in RULES}
 _SHOWN: Final = 200
 _KEPT: Final = "#0072B2"
 _DROPPED: Final = "#D55E00"
@@ -358,7 +347,6 @@ def write_episodes(
     if summary.episodes == 0 and not order.request.mirror:  # it would be taken for a data set
         shutil.rmtree(order.request.data, ignore_errors=True)
         summary.notes += _nothing_kept(summary, figures, order.request.limits)
-    _mark(order, whole=True)
     _account(order, summary, figures)
     return summary
 
@@ -527,7 +515,8 @@ def _prepare(order: Order) -> None:
         )
     if state is not None and state.get("identity") != order.identity:
         shutil.rmtree(target, ignore_errors=True)  # other clips, limits or format: all again
-    _mark(order, whole=False)
+    order.request.packs.mkdir(parents=True, exist_ok=True)
+    write_json(order.request.packs / _STATE, {"program": PROGRAM, "identity": order.identity})
 
 
 def hand_in(output: Path) -> str | None:
@@ -548,12 +537,6 @@ def _state(order: Order) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return state if isinstance(state, dict) and state.get("program") == PROGRAM else None
-
-
-def _mark(order: Order, *, whole: bool) -> None:
-    content = {"program": PROGRAM, "identity": order.identity, "whole": whole}
-    order.request.packs.mkdir(parents=True, exist_ok=True)
-    write_json(order.request.packs / _STATE, content)
 
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
