@@ -36,7 +36,7 @@ PROGRAM: Final = "smooth-operator"
 
 _MOST_BYTES: Final = 64_000_000  # of a configuration that lists thousands of recordings
 
-_CODE: Final = (
+CODE_OF_COMMANDS: Final = (
     *("geometry.py", "landmarks.py", "planning.py", "execution.py", "poses.py", "types.py"),
     "wrist_following.py",
     *("hands", "retargeting", "baselines"),
@@ -189,6 +189,11 @@ def make_request(
     )
 
 
+def content_of(spec: HandSpec) -> tuple[HandSpec, str]:
+    """The description of a hand and the digest of its model, without the model's folder."""
+    return replace(spec, model=Path(spec.model.name)), content_digest(spec.model)
+
+
 def code_of_commands(request: RetargetRequest, *more: str) -> str:
     """Digest of the code and the hands that determine the commands of a request.
 
@@ -205,9 +210,8 @@ def code_of_commands(request: RetargetRequest, *more: str) -> str:
     sides: tuple[Side, Side] = ("right", "left")
     for side in sides:
         with suppress(HandModelError):  # there is no hand of this side
-            spec = request.load_hand(side).spec
-            hands.append((replace(spec, model=Path(spec.model.name)), content_digest(spec.model)))
-    code = code_digest(*_CODE, *more)
+            hands.append(content_of(request.load_hand(side).spec))
+    code = code_digest(*CODE_OF_COMMANDS, *more)
     return key_digest([code, outside_code(request.config, *modules), versions(), hands])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -15,9 +14,8 @@ from smooth_operator.benchmark.recordings import Source
 from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.hands.registry import hand_names, known_hands, load_hand
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.metrics.table import Definition, plugin_metrics
-from smooth_operator.planning import Plan
+from smooth_operator.planning import CODE_OF_COMMANDS, Plan, content_of
 from smooth_operator.plugins import is_target
 from smooth_operator.result_cache import code_digest, content_digest, key_digest
 from smooth_operator.result_cache import outside_code as outside_code
@@ -289,18 +287,7 @@ def benchmark_code() -> str:
     It does not cover pages, plots and the command line. If a method changes between two runs of a
     benchmark, its cells are measured again.
     """
-    return code_digest(
-        "geometry.py",
-        "landmarks.py",
-        "types.py",
-        "hands",
-        "retargeting",
-        "baselines",
-        "metrics",
-        "execution.py",
-        "io",
-        "formats",
-    )
+    return code_digest(*CODE_OF_COMMANDS, "metrics")
 
 
 @cache
@@ -310,9 +297,7 @@ def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -
         spec = load_hand(name, side, fingers=dict(fingers) or None).spec
     except SmoothOperatorError as error:
         return f"{name} {side}: {error}"
-    fields = {f.name: getattr(spec, f.name) for f in dataclasses.fields(spec) if f.name != "model"}
-    text = to_json(fields).encode() + Path(spec.model).read_bytes()
-    return hashlib.sha256(text).hexdigest()
+    return key_digest(content_of(spec))
 
 
 def files_of(config: Any) -> Iterator[Path]:

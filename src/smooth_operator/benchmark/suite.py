@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -153,14 +153,7 @@ class BenchmarkFolder:
 
     def save_latency(self, cell: Cell, latency: Latency) -> None:
         """Stores the latency of a cell; OutputError if it can't be written."""
-        content = {
-            "samples_ms": latency.samples_ms,
-            "first_ms": latency.first_ms,
-            "warm_up": latency.warm_up,
-            "load": latency.load,
-            "others": latency.others,
-        }
-        self._latencies.keep(*self._latency(cell), content)
+        self._latencies.keep(*self._latency(cell), asdict(latency))
 
     def load_latency(self, cell: Cell) -> Latency | None:
         """Loads the latency of a cell that was measured on this kind of machine; None if there is
