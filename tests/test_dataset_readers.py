@@ -218,8 +218,8 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"left": np.zeros((COUNT, 16, 3))}, r"'left' must have shape \(30, 21, 3\)"),
-        ({"left": np.zeros((9, 21, 3))}, r"'left' must have shape \(30, 21, 3\).*not \(9, 21, 3\)"),
+        ({"left": np.zeros((COUNT, 16, 3))}, r"shape \(T, 21, 3\).*not \(30, 16, 3\)"),
+        ({"left": np.zeros((9, 21, 3))}, r"same number of frames, .* and \(9, 21, 3\)"),
         ({"T_world_wrist_left": np.zeros((COUNT, 6))}, r"T_world_wrist_left.*\(30, 7\)"),
         ({"valid_left": np.full((COUNT, 21), 0.4)}, r"'valid_left' must be true or false.*0\.4"),
         ({"valid_left": np.ones((COUNT, 7))}, r"'valid_left' must have shape \(30,\).*\(30, 21\)"),
@@ -229,7 +229,7 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path):
         ({"confidence_right": np.full(COUNT, 130)}, r"reach 130; .*bytes \(divide by 255\)"),
         ({"confidence_right": np.arange(COUNT) % 3}, "reach 2; .*levels"),
         ({"confidence_right": np.array(["x"] * COUNT)}, "confidence_right' must hold real numbers"),
-        ({"timestamps": np.zeros(4)}, r"'timestamps' must have shape \(30,\)"),
+        ({"timestamps": np.zeros(4)}, "'timestamps' must have one timestamp for each"),
         ({"right": files.hand("right").points * 1000, "left": None}, "right hand: .*millimetres"),
     ],
 )

@@ -19,6 +19,7 @@ array                              shape        content
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,16 +28,14 @@ import numpy as np
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.both_hands import checked_hands, first_video
-from smooth_operator.formats.checks import check_rate, check_stamps, stamps_from_rate
+from smooth_operator.formats.checks import check_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ObjectTrack, ReadingOptions
 from smooth_operator.formats.hand_arrays import (
-    own_stamps,
     pose_rows,
     quaternion_order,
     shares,
-    validity,
 )
-from smooth_operator.landmarks import NODE_LAYOUTS
+from smooth_operator.formats.readers import array_hand
 from smooth_operator.types import HandRecording, Side
 
 _OBJECT: Final = "T_world_object_"
@@ -75,10 +74,17 @@ class LandmarksOfBothHands:
         sides = [side for side in SIDES if side in arrays]
         if not sides:
             raise RecordingError(f"{path}: it holds {arrays.describe()}; expected {self.expects}")
-        count = arrays[sides[0]].shape[0] if arrays[sides[0]].shape else 0
-        stamps = _stamps(arrays, count, options.rate)
+        shapes = [arrays[side].shape for side in sides]
+        if len({shape[:1] for shape in shapes}) > 1:
+            raise RecordingError(
+                f"{path}: 'right' and 'left' must have the same number of frames, not the shapes "
+                f"{shapes[0]} and {shapes[1]}"
+            )
         world = _text(arrays, "world") or _WORLD
-        hands = {side: _hand(arrays, side, stamps, world) for side in sides}
+        hands = {side: _hand(arrays, side, options.rate, world) for side in sides}
+        stamps = hands[sides[0]].stamps
+        check_rate(stamps, options.rate, str(path))
+        count = len(stamps)
         checked = checked_hands(hands, str(path), self.expects)
         task, named = _text(arrays, "task"), _text(arrays, "video")
         video = None if named is None else first_video(path.with_name(Path(named).name))
@@ -115,46 +121,10 @@ def _mesh(folder: Path, name: str) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _hand(arrays: StoredArrays, side: Side, stamps: np.ndarray, world: str) -> HandRecording:
-    stored, count = arrays[side], len(stamps)
-    nodes = stored.shape[1] if len(stored.shape) == 3 else 0
-    if nodes not in NODE_LAYOUTS or stored.shape != (count, nodes, 3):
-        raise RecordingError(
-            f"{arrays.path}: array {side!r} must have shape ({count}, 21, 3), or 25 or 26 nodes in "
-            f"place of 21, not {stored.shape}"
-        )
-    points = stored.numbers()
-    picked, bases = NODE_LAYOUTS[nodes]
-    valid: np.ndarray = np.isfinite(points[:, picked]).all(axis=-1)
-    if f"valid_{side}" in arrays:
-        valid &= validity(arrays[f"valid_{side}"], count, picked, nodes)
-    else:  # "no hand in view" is all zeros in some trackers
-        there: np.ndarray = np.any(points[:, picked], axis=(1, 2))
-        valid &= there[:, None]
-    wrist = f"T_world_wrist_{side}"
-    tracked = wrist in arrays
-    return HandRecording(
-        points[:, picked],
-        stamps,
-        side,
-        valid=valid,
-        metacarpals=None if bases is None else points[:, bases],
-        name=arrays.path.stem,
-        meta={"format": "landmarks"},
-        T_world_wrist=_pose(arrays, wrist, count) if tracked else None,
-        world=world if tracked else None,
-    )
-
-
-def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> np.ndarray:
-    where = str(arrays.path)
-    name = next((key for key in ("timestamps", "stamps") if key in arrays), None)
-    if name is None:
-        return stamps_from_rate(count, rate, where)
-    stamps = own_stamps(_shaped(arrays, name, (count,)), rate, where)
-    check_stamps(stamps, where)
-    check_rate(stamps, rate, where)
-    return stamps
+def _hand(arrays: StoredArrays, side: Side, rate: float | None, world: str) -> HandRecording:
+    hand = array_hand(arrays, arrays[side], rate, side)
+    tracked = hand.T_world_wrist is not None
+    return replace(hand, meta={"format": "landmarks"}, world=world if tracked else None)
 
 
 def _camera(arrays: StoredArrays, count: int, world: str) -> np.ndarray | None:

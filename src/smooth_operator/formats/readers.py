@@ -167,20 +167,35 @@ def read_arrays(
         RecordingError: as ``read_recording``, without the checks of size, side and order.
     """
     arrays = open_arrays(path)
-    where = str(path)
     data = arrays.get("data")
+    if data is not None and len(data.shape) == 3 and data.shape[-1] == 7:
+        return array_hand(arrays, None, rate, side, layout)
+    return array_hand(arrays, _find_landmarks(arrays, side), rate, side, layout)
+
+
+def array_hand(
+    arrays: StoredArrays,
+    item: StoredArray | None,
+    rate: float | None,
+    side: Side | None,
+    layout: str | None = None,
+) -> HandRecording:
+    """Reads one hand of a file, with its timestamps, flags and wrist; see ``read_arrays``.
+
+    Args:
+        item: array of the landmarks; None for the nodes of a MANUS recording.
+    """
+    where = str(arrays.path)
     named: Side | None = None
     meta: dict[str, Any]
-    orientations = None
-    if data is not None and len(data.shape) == 3 and data.shape[-1] == 7:
+    quaternions = orientations = None
+    if item is None:
         nodes, quaternions, meta = manus_nodes(arrays)
     else:
-        item = _find_landmarks(arrays, side)
-        nodes, named = _frames(item), _SIDE_OF.get(item.name)
-        quaternions, meta = None, {"format": "array"}
+        nodes, named, meta = _frames(item), _SIDE_OF.get(item.name), {"format": "array"}
     count = nodes.shape[1]
     picked, metacarpals = NODE_LAYOUTS[count]
-    if layout is not None and count == 21 and meta["format"] == "array":
+    if layout is not None and count == 21 and item is not None:
         picked, meta["layout"] = layout_order(layout), layout
         positions = in_our_order(nodes, layout)
     else:
@@ -210,7 +225,7 @@ def read_arrays(
         T_world_wrist=own.get("T_world_wrist"),
         world=_world(arrays) if "T_world_wrist" in own else None,
         forearm=own.get("forearm"),
-        name=path.stem,
+        name=arrays.path.stem,
         meta=meta,
     )
 
@@ -250,19 +265,18 @@ def _beside_landmarks(
     if names["T_world_wrist"]:
         stored = arrays[names["T_world_wrist"]]
         own["T_world_wrist"] = pose_rows(stored, count, quaternion_order(arrays))
-    for name, shape in (("metacarpals", (count, 4, 3)), ("orientations", (count, 21, 4))):
+    for name, shape in (
+        ("metacarpals", (count, 4, 3)),
+        ("orientations", (count, 21, 4)),
+        ("forearm", (count, 3)),
+    ):
         if names[name]:
             stored = arrays[names[name]]
-            if nodes == 21 and stored.shape == shape and stored.dtype.kind == "f":
+            fits = stored.shape == shape and stored.dtype.kind == "f"
+            if fits and (nodes == 21 or name == "forearm"):
                 own[name] = stored.load()
             else:
                 ignored.append(names[name])
-    if names["forearm"]:
-        stored = arrays[names["forearm"]]
-        if stored.shape == (count, 3) and stored.dtype.kind == "f":
-            own["forearm"] = stored.load()
-        else:
-            ignored.append(names["forearm"])
     if "orientations" in own:
         own["orientations"] = own["orientations"][:, list(picked)]
     if ignored:
