@@ -169,9 +169,6 @@ class Cameras:
         if len(texts) > MOST:
             raise ConfigError(f"the pages show at most {counted(MOST, 'camera')}, not {len(texts)}")
         self._feeds: list[_Feed] = []
-        if texts:  # a lost stream is on the pages, and need not be in the terminal
-            log = opencv().utils.logging
-            log.setLogLevel(log.LOG_LEVEL_ERROR)
         with contextlib.ExitStack() as opened:
             opened.callback(self.close)
             for text in texts:
