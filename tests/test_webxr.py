@@ -806,7 +806,16 @@ def test_controllers_stand_for_hands_until_a_hand_appears(host, chromium, emulat
     page.goto(f"{host.address}/#{CODE}")
     shows(page, "linked")
     page.select_option("#mode", "immersive-vr")
+    page.evaluate("""() => {
+      const ask = navigator.xr.requestSession.bind(navigator.xr);
+      navigator.xr.requestSession = (mode, options) => {
+        window.asked = options.optionalFeatures;
+        return ask(mode, options);
+      };
+    }""")
     page.click("#start")
+    host.arrival("right")
+    assert "tracked-sources" in page.evaluate("asked")  # for the buttons beside tracked hands
 
     def after(code: str, side: Side = "right") -> Arrival:
         """The first frame that the page sends after a script."""

@@ -14,14 +14,14 @@ from page    content                                                            
 ``picture``  ``camera``: its place in ``cameras`` of ``view``                          ``PICTURE``
 ===========  ========================================================================  ============
 
-``welcome`` contains the ``session``; ``stops``, the buttons that stop the robot, for which the page
-sends ``stop``; and ``pulses``: true if this program will send ``pulse``. That message lets the
-controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for a number of ``seconds``, and
-replaces the previous one. ``pong`` repeats ``at`` and contains ``host``, the time by the host's
-clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``, the state of the
-loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of the last
-round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by the host's
-clock, to within half the round trip.
+``welcome`` contains the ``session``; ``buttons``, name -> action of those that have one (for the
+action ``stop`` the page sends ``stop``); and ``pulses``: true if this program will send ``pulse``.
+That message lets the controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for a number
+of ``seconds``, and replaces the previous one. ``pong`` repeats ``at`` and contains ``host``, the
+time by the host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``,
+the state of the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the
+fastest of the last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a
+frame by the host's clock, to within half the round trip.
 
 ``view`` describes the robot for drawing. Its ``number`` is 0 if there is no robot. ``nodes`` follow
 if the shapes have changed. Each has a ``parent`` (its place in the list; -1 for none) and a number
@@ -62,7 +62,6 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.io.documents import json_object
 from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.poses import to_ours
-from smooth_operator.teleop.control.bindings import inputs_of
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Mailbox
 from smooth_operator.types import HandFrame, Side
 from smooth_operator.web.auth import same_secret
@@ -176,15 +175,15 @@ class Link:
             if not await self._paired(connection, address):
                 return
             self._take_over(connection, address)
-            stops = [
-                source.removeprefix("button:")
-                for source in inputs_of(self._mailbox.bindings, "stop")
+            buttons = {
+                source.removeprefix("button:"): action
+                for source, action in self._mailbox.bindings.items()
                 if source.startswith("button:")
-            ]
+            }
             welcome = {
                 "type": "welcome",
                 "session": self._state.session,
-                "stops": stops,
+                "buttons": buttons,
                 "pulses": self._pulses,
             }
             await connection.send(json.dumps(welcome))

@@ -25,7 +25,7 @@ export class Link extends EventTarget {
     this.stopping = false; // true from a stop on this page until the loop confirms it
     this.tracking = false;
     this.pulses = false; // true if the host will send pulses
-    this.stops = []; // buttons of controllers that stop the robot
+    this.buttons = {}; // name -> action of those of controllers
     this.skipped = 0;
     this.sent = [];
     this.rounds = [];
@@ -76,7 +76,7 @@ export class Link extends EventTarget {
     if (message.type === 'welcome') {
       this.tries = 0;
       this.pulses = message.pulses;
-      this.stops = message.stops;
+      this.buttons = message.buttons;
       this.become('linked');
       this.pinging = setInterval(() => this.ping(), PING_EVERY);
       this.ping();
@@ -105,8 +105,8 @@ export class Link extends EventTarget {
 
   /** A button of a controller was pressed. */
   press(name) {
-    if (this.stops.includes(name)) this.stop();
-    else if (this.state === 'linked') this.socket.send(JSON.stringify({ type: 'button', name }));
+    if (this.buttons[name] === 'stop') this.stop();
+    else if (name in this.buttons && this.state === 'linked') this.socket.send(JSON.stringify({ type: 'button', name }));
   }
 
   ping() {

@@ -66,11 +66,13 @@ export class Tracking extends EventTarget {
 
   /** Start; browsers allow it in a click only. */
   async start(mode) {
+    // Controllers beside tracked hands cost power (immersive-web/webxr, issue 1430).
+    const useful = this.link.pulses || Object.keys(this.link.buttons).length;
+    const beside = useful ? ['tracked-sources'] : [];
     let session;
     try {
       session = await navigator.xr.requestSession(mode, {
-        // Controllers beside tracked hands cost power (immersive-web/webxr, issue 1430).
-        optionalFeatures: ['hand-tracking', 'local-floor', ...(this.link.pulses ? ['tracked-sources'] : [])],
+        optionalFeatures: ['hand-tracking', 'local-floor', ...beside],
       });
     } catch (error) {
       throw new Trouble(`The headset does not start (${error.message || error.name}). Allow immersive mode and hand tracking when the browser asks, and press Start again.`);
