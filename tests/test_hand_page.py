@@ -10,6 +10,7 @@ from urllib.parse import urlparse
 import numpy as np
 import pytest
 from browser_page import changed, nameless, new_page, settled
+from compact_hands import MADE
 from live_time import until as eventually
 
 from smooth_operator.hands.capsules import hand_capsules
@@ -31,17 +32,20 @@ def position(slider: Any) -> float:
     return float(slider.get_attribute("aria-valuenow") or "nan")
 
 
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.weekly] * (n in MADE)) for n in hand_names()],
+)
 def test_simple_shapes_are_those_that_self_collision_is_judged_by(name):
     """Nothing of a part stands out of the picture, and the picture shows nothing else."""
     hand = load_hand(name)
-    drawn = HandView(hand, simple=True).meshes
+    drawn, capsules = HandView(hand, simple=True).meshes, hand_capsules(hand)
     for body, mesh in drawn.items():
-        own = [capsule for capsule in hand_capsules(hand) if capsule.body == body]
+        own = [capsule for capsule in capsules if capsule.body == body]
         low = np.min([c.ends.min(axis=0) - c.radius for c in own], axis=0)
         high = np.max([c.ends.max(axis=0) + c.radius for c in own], axis=0)
         np.testing.assert_allclose(mesh.bounds, [low, high], atol=0.002)
-    assert {capsule.body for capsule in hand_capsules(hand)} == set(drawn)
+    assert {capsule.body for capsule in capsules} == set(drawn)
 
 
 def test_a_shape_without_a_surface_is_not_drawn(tmp_path):
