@@ -639,10 +639,41 @@ def test_an_end_effector_has_lerobots_keys(session):
     assert act(landmarks=hand_of(1.0).tolist()) == pytest.approx(policy, abs=1e-9)
 
 
-def test_a_gripper_of_the_catalogue_follows_the_pinch(session):
-    now = session(hand="franka_hand", gripper="pinch")
+@pytest.mark.parametrize(
+    ("hand", "joint", "closed", "opened"),
+    [
+        ("so101", "gripper", -0.174533, 1.74533),
+        ("franka_hand", "panda_finger_joint1", 0.0, 0.04),
+        ("robotiq_2f85", "robotiq_85_left_knuckle_joint", 0.8, 0.0),
+    ],
+)
+def test_a_gripper_of_the_catalogue_follows_its_retargeted_jaw(
+    session, hand, joint, closed, opened
+):
+    """The method closes it where the tracker leaves a gap between fingers that touch."""
+    now = session(hand=hand, gripper="pinch")
     assert now.device.action_features == {"gripper.pos": float}
-    now.names, now.angles = ["panda_finger_joint1"], [0.02]
+    send = now.send
+    now.send = lambda **more: send(hand=hand, landmarks=hand_of(0.5).tolist(), **more)
+    now.names, now.angles = [joint], [opened]
+    now.device.connect()
+
+    def act(position: float, mode: str = "tracking") -> float:
+        now.clock.now += 0.03
+        now.angles = [position]
+        now.send(mode=mode)
+        action = now.device.get_action()
+        assert list(action) == ["gripper.pos"]
+        return action["gripper.pos"]
+
+    assert [act(opened), act(closed)] == pytest.approx([100.0, 0.0], abs=1e-9)
+    assert act((closed + opened) / 2) == pytest.approx(50.0, abs=6.0)
+    held = act(closed)
+    assert act(opened, "easing") == held  # what is in the gripper is not dropped
+
+
+def test_a_gripper_follows_the_landmarks_if_another_hand_is_driven(session):
+    now = session(gripper="pinch")
     now.device.connect()
     for opening, expected in ((1.0, 100.0), (0.0, 0.0)):
         now.clock.now += 0.03
@@ -686,7 +717,8 @@ def test_an_arm_has_lerobots_keys_and_units(session):
         now.device.connect()
     send = now.send
     arm = {"names": joints, "positions": [0.1, -0.2, 0.3, -0.4, 0.5]}
-    now.send = lambda **more: send(arm=arm, landmarks=hand_of(0.0).tolist(), **more)
+    now.angles = [-0.174533]
+    now.send = lambda **more: send(arm=arm, hand="so101", **more)
     now.device.connect()
     action = now.device.get_action()
     assert list(action) == keys

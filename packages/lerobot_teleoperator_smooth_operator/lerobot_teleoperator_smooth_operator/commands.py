@@ -27,6 +27,7 @@ class Command:
     """A command of one hand.
 
     Attributes:
+        hand: name of the robot hand.
         names: (n) names of the model's joints and, with an arm, of its joints ``arm_joint1``, ...
         positions: (n) angles [rad].
         wrist: target of the wrist in the robot's base: x y z [m], quaternion w x y z; None
@@ -40,6 +41,7 @@ class Command:
         operator_wrist: (7,) the human wrist: x y z [m], quaternion w x y z; None if it is unknown.
     """
 
+    hand: str
     names: tuple[str, ...]
     positions: tuple[float, ...]
     wrist: tuple[float, ...] | None
@@ -167,6 +169,7 @@ class Newest:
         arrived = self._clock()
         lateness = self._lateness.setdefault(side, _Lateness()).of(float(message["time"]), arrived)
         return Command(
+            str(message["hand"]),
             names,
             positions,
             _wrist(message.get("wrist")),

@@ -24,13 +24,14 @@ from lerobot_teleoperator_smooth_operator.end_effector import (
     gripper_command,
 )
 from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
-from lerobot_teleoperator_smooth_operator.gripper import OPEN, Gripper
+from lerobot_teleoperator_smooth_operator.gripper import OPEN, Gripper, Jaw
 from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.landmark_steps import LANDMARK_KEYS
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
 from smooth_operator import poses
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys, wrist_pose
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.settings import check_numbers
@@ -74,6 +75,8 @@ class _HandActions:
         self.side, self._config, self._prefix = side, config, prefix
         by = config.gripper or ("pinch" if config.arm or config.wrist in _GRIPPER_KEYS else "")
         self._gripper = Gripper(by) if by else None
+        self._jaw: Jaw | None = None  # with a pinch, if the hand that is driven is a gripper
+        self._by_jaw = by == "pinch"
         self._given: Mapping[str, str] | None = joints or None
         if not joints and config.arm:
             names = read_arm(config.arm).spec.joint_names
@@ -117,6 +120,9 @@ class _HandActions:
             )
         self.keys, self.known = self._made(command.names), True
         self._order = tuple(command.names.index(key.joint) for key in self.keys if key.joint)
+        if self._by_jaw:
+            with contextlib.suppress(SmoothOperatorError):  # a hand that only teleop knows
+                self._jaw = Jaw.of(load_hand(command.hand, self.side))
         self._names = command.names
 
     def hold(self) -> None:
@@ -157,7 +163,10 @@ class _HandActions:
             self._landmarks[-1] = 0.0
         targets = [command.positions[i] for i in self._order]
         if self._gripper is not None:
-            if self._landmarks[-1]:
+            if self._jaw is not None and command.mode in _MOVING:
+                position = command.positions[command.names.index(self._jaw.joint)]
+                self._gripper.move(self._jaw.opening(position))
+            elif self._jaw is None and self._landmarks[-1]:
                 self._gripper.follow(self._landmarks[:-1].reshape(21, 3))
             targets.append(self._gripper.opening / OPEN)
         self._joints.follow(targets, now)
