@@ -454,7 +454,7 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch):
     """The pull to the neutral pose is the method's taste, and no fault of the hand."""
     given: list[Any] = []
 
-    def refuse(hand: Hand, *, config: Any) -> Retargeter:
+    def refuse(hand: Hand, *, config: Any, **_: Any) -> Retargeter:
         given.append(config)
         raise ConfigError("looked at")
 

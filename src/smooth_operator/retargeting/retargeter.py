@@ -348,7 +348,7 @@ class Retargeter:
 
 
 MOST_PROGRAMS: Final = 16
-_programs: OrderedDict[tuple[str, MethodConfig, ProgramCache | None], SharedProgram] = OrderedDict()
+_programs: OrderedDict[tuple[str, MethodConfig], SharedProgram] = OrderedDict()
 _lock = threading.Lock()
 
 
@@ -379,7 +379,7 @@ def shared_program(
         return _built(hand, config, False, cache)
     reflects = hand.spec.mirror
     served = load_hand_spec(hand.spec.mirrored) if reflects else hand
-    key = (fingerprint(served), config, cache)
+    key = (fingerprint(served), config)  # a program is the same with and without a cache
     try:
         with _lock:
             stored = _programs.get(key)
