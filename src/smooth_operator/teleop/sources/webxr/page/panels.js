@@ -96,8 +96,8 @@ export class Panels {
 
   write(camera, age, late) {
     const now = performance.now();
-    if (now - (camera.written ?? -Infinity) < WRITE_EVERY) return;
-    camera.written = now;
+    if (late === camera.late && now - camera.written < WRITE_EVERY) return;
+    Object.assign(camera, { late, written: now });
     const [ink] = camera.line;
     ink.fillStyle = late ? '#a01414' : '#10202b';
     ink.fillRect(0, 0, 720, 60);
