@@ -17,7 +17,7 @@ from made_clips import CLIPS, LAYOUT
 
 from smooth_operator.datasets import pipeline, writing
 from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
-from smooth_operator.datasets.sources import Item, each_item
+from smooth_operator.datasets.sources import Item, find_items
 from smooth_operator.formats.clip import ClipRef, ReadingOptions
 from smooth_operator.formats.registry import READERS
 from smooth_operator.reporter import Reporter
@@ -38,8 +38,7 @@ def source(tmp_path) -> Path:
 
 
 def items(source: Path, layout: str | None = LAYOUT) -> list[Item]:
-    every = each_item([str(source)], layout=layout)
-    return [each for each in every if isinstance(each, Item)]
+    return [*find_items([str(source)], layout=layout).items]
 
 
 def request(source: Path, output: Path, **more: Any) -> DatasetRequest:

@@ -365,7 +365,10 @@ def find_items(
     items: list[Item] = []
     refused: list[Refused] = []
     passed_over: dict[str, int] = {}
-    for each in each_item(sources, layout=layout, leave_out=leave_out):
+    if layout is not None:
+        find_reader(layout)
+    look = _Looking(layout, None if leave_out is None else leave_out.resolve())
+    for each in itertools.chain.from_iterable(map(look.through, sources)):
         if isinstance(each, Item):
             items.append(each)
         elif isinstance(each, Refused):
@@ -374,30 +377,6 @@ def find_items(
             passed_over[each] = passed_over.get(each, 0) + 1
     named = _unique(items)
     return Survey(tuple(sorted(named, key=lambda item: item.name)), tuple(refused), passed_over)
-
-
-def each_item(
-    sources: Sequence[str], *, layout: str | None = None, leave_out: Path | None = None
-) -> Iterator[Item | Refused | str]:
-    """Yields the items of the sources one by one, so that a list of any length fits in memory.
-
-    The order is that of the sources, and sorted by name within each. Names may repeat.
-
-    Args:
-        sources: as in ``find_items``.
-        layout: as in ``find_items``.
-        leave_out: as in ``find_items``.
-
-    Yields:
-        items; sources that can't be used; and suffixes of files that no reader recognises.
-
-    Raises:
-        UnknownNameError, RecordingError, MissingExtraError: as ``find_items``.
-    """
-    if layout is not None:
-        find_reader(layout)
-    look = _Looking(layout, None if leave_out is None else leave_out.resolve())
-    return (item for source in sources for item in look.through(source))
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
