@@ -226,20 +226,12 @@ class Egodex:
             confidence={
                 side: shares(np.nanmean(sure, axis=1), f"{path}, {side} hand")
                 for side, hand in checked.items()
-                if (sure := _confidences(tree, side, len(hand))) is not None
+                if (sure := egodex_confidences(tree, side, len(hand))) is not None
             },
             T_world_camera=egodex_camera(tree, path),
             video=video,
             meta=_meta(tree, top),
         )
-
-
-def _confidences(tree: Mapping[str, Hdf5Group], side: Any, count: int) -> np.ndarray | None:
-    """Confidences of the joints that have one in every frame; None if no joint has."""
-    sure = egodex_confidences(tree, side, count)
-    if sure is None:
-        return None
-    return np.asarray(sure[:, ~np.isnan(sure).all(axis=0)])
 
 
 def _task(attributes: Mapping[str, Any]) -> str | None:
