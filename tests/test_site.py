@@ -30,7 +30,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
             pytest.skip(f"{module} is not installed (extra docs)")
     folder = tmp_path_factory.mktemp("site")
     words = ("-m", "mkdocs", "build", "--strict", "--site-dir", folder)
-    python(*words, cwd=PROJECT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, check=True)
+    quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = python(*words, cwd=PROJECT, env=quiet, check=True)
     assert "WARNING" not in done.stderr, done.stderr
     return folder
 
