@@ -96,10 +96,10 @@ def test_a_take_that_was_cut_off_is_edited_up_to_its_end(tmp_path):
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ("--keep 2:1", "a stretch must end after it begins, not 2:1"),
+        ("--keep 2:1", "a time range must end after it begins, not 2:1"),
         ("--keep 1-2", "write FROM:TO in seconds"),
         ("--mark grasp", "write SECONDS=TEXT, such as 2.5=grasp"),
-        ("--drop 1:2 --mark 1.5=a", "the mark 'a' at 1.5 s is in a part that is left out"),
+        ("--drop 1:2 --mark 1.5=a", "the mark 'a' at 1.5 s is in a part that is cut out"),
         ("--mark 9=a", "the mark 'a' at 9 s is after all commands"),
         ("--keep 7:8", "nothing of the take would be kept"),
         ("--keep 1: --output {take} --overwrite", "a take is not edited in place"),

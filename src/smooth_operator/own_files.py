@@ -23,7 +23,7 @@ from smooth_operator.user_folders import SWITCH
 LOGGER: Final = logging.getLogger("smooth_operator.programs")
 
 MOST_BYTES: Final = 512 << 20
-"""Largest size of a folder of compiled programs [bytes]. Those that were used last stay."""
+"""Largest size of a folder of compiled programs [bytes]; the least recently used are removed."""
 
 _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO

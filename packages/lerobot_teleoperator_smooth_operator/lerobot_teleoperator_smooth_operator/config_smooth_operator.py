@@ -39,11 +39,11 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             ``pinch`` with ``arm`` and with a ``wrist`` that has a gripper, otherwise for no
             gripper.
         wrist_scale: ratio of the robot's translation to the operator's, if the loop runs in this
-            process; otherwise ``teleop --wrist.scale`` sets it.
+            process; in other runs, ``teleop --wrist.scale`` sets it.
         wrist_yaw: direction of the tracker's x axis in the robot's base, counterclockwise
             [degrees], if the loop runs in this process (``teleop --wrist.yaw``): 180 with a camera
             that faces the operator.
-        delta_step_m: translation that the value 1 stands for with ``wrist=delta`` [m]; LeRobot's
+        delta_step_m: with ``wrist=delta``, translation for the value 1 [m]; LeRobot's
             ``end_effector_step_sizes``.
         timeout_s: longest time that ``connect`` waits for the first command [s].
         hold_s: time for which the last action is repeated when commands stop or are too old [s];
@@ -54,11 +54,11 @@ class SmoothOperatorConfig(TeleoperatorConfig):
             ``mimic_p050``, or ``so101`` with a gripper); otherwise the one that ``teleop`` drives,
             with which ``action_features`` is known before ``connect``, also without ``joints``.
         method: retargeting method, if the loop runs in this process; empty for the default.
-        operator: name of the operator, whose calibration LeRobot's folder of calibrations keeps, or
+        operator: name of the operator, whose calibration is in LeRobot's folder of calibrations, or
             path of an operator file (``*.json``); by default ``id``. ``lerobot-calibrate`` writes
-            it, and the loop in this process reads it and adds the pinch gaps that it estimates.
+            the file; the loop in this process reads it, and adds the pinch gaps that it estimates.
         bind: inputs of the operator's actions if the loop runs in this process, such as
-            ``[success=pinch:index, again=button:b]``; as ``--bind`` of ``teleop``.
+            ``[success=pinch:index, again=button:b]``, written as for ``teleop --bind``.
         landmarks: True to add the landmarks of the human hand to the action, for the processor
             steps of ``landmark_steps``, which replace them.
     """

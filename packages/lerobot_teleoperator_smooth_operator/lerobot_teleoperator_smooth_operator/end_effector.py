@@ -37,10 +37,10 @@ def gripper_command(opening: float) -> float:
 class Steps:
     """Divides the motion of an end effector into steps of limited length.
 
-    What exceeds one step follows in the next ones, so the sum of all steps is the motion.
+    The part beyond one step follows in the next steps, so the sum of all steps is the motion.
 
     Args:
-        length: translation that the value 1 stands for [m].
+        length: translation for the value 1 [m].
     """
 
     def __init__(self, length: float) -> None:
@@ -58,7 +58,7 @@ class Steps:
 @ProcessorStepRegistry.register("smooth_operator_start_at_robot")
 @dataclass
 class StartAtRobot(RobotActionProcessorStep):
-    """Step that lets the end effector start where the robot's is, and move as the operator moves.
+    """Lets the end effector start at the robot's pose, and move as the operator moves.
 
     At the first action it stores the pose of the robot's end effector and that of the action. From
     then on, the robot's pose changes as that of the action: translation and rotation in the axes of

@@ -93,7 +93,7 @@ class Gripper:
         return self.opening
 
     def move(self, opening: float) -> float:
-        """Computes the opening for that of a hand or jaw, 0 (closed) to 1 (open)."""
+        """Computes the gripper's opening from that of a hand or jaw, 0 (closed) to 1 (open)."""
         target = OPEN * min(max(opening, 0.0), 1.0)
         self._held = min(max(self._held, target - _PLAY), target + _PLAY)
         # Both ends are reached: closed at _PLAY, open at OPEN - _PLAY.

@@ -32,7 +32,7 @@ class MailboxSink(Sink):
 
     @property
     def actions(self) -> Mapping[str, Callable[[], None]]:
-        """Actions of the operator for the episode, for the events of the teleoperator."""
+        """The operator's actions on the episode, which become events of the teleoperator."""
         return episode_actions(self._episode)
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:

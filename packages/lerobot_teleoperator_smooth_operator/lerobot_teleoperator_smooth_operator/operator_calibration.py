@@ -22,7 +22,7 @@ from smooth_operator.teleop.sources.live import Running, ThreadedSource
 from smooth_operator.types import HandFrame
 
 _TURN_S = 0.002
-"""Interval at which the newest command is looked at [s]."""
+"""Interval at which the newest command is checked [s]."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class HandsOfCommands(ThreadedSource):
 
     Attributes:
         newest: store of the commands.
-        feed: where they come from.
+        feed: connection from which they arrive.
         side: side of the hand.
     """
 
@@ -62,11 +62,11 @@ def calibrate_operator(file: Path, newest: Newest, feed: Feed, side: Any) -> Ope
     Args:
         file: the operator's file; the mounts of trackers in it are kept.
         newest: store of the commands.
-        feed: where they come from; it is closed.
+        feed: connection from which they arrive; it is closed.
         side: side of the hand.
 
     Returns:
-        what was written.
+        the calibration that was written.
 
     Raises:
         SmoothOperatorError: no hand was tracked, or the file can't be read or written.

@@ -215,7 +215,7 @@ class _HandActions:
             return joints
         key = f"{self._prefix}{_GRIPPER_KEYS.get(config.wrist, 'gripper.pos')}"
         if any(joint.key == key for joint in joints):
-            raise ValueError(f"joints: {key} is the key of the gripper; name the joint otherwise")
+            raise ValueError(f"joints: {key} is the gripper's key; rename the joint")
         return (*joints, JointKey("", key, OPEN, 0.0, 0.0, OPEN))
 
 
@@ -258,8 +258,8 @@ class SmoothOperator(Teleoperator):
     def action_features(self) -> dict[str, Any]:
         """Key -> ``float``; before ``connect`` if the settings name the joints.
 
-        ``hand``, ``source``, ``arm`` and a gripper name them, too. With ``wrist=delta``, it is the
-        description of a column, as that of LeRobot's own teleoperators with such keys.
+        ``hand``, ``source``, ``arm`` and a gripper name them, too. With ``wrist=delta``, it
+        describes a column, as LeRobot's own teleoperators with such keys do.
         """
         if not all(hand.known for hand in self._hands):
             raise DeviceNotConnectedError(
@@ -278,7 +278,7 @@ class SmoothOperator(Teleoperator):
 
     @property
     def feedback_features(self) -> dict[str, Any]:
-        """Those of an action: LeRobot's DAgger then hands over by ``send_feedback``."""
+        """Features of an action, so that LeRobot's DAgger hands over by ``send_feedback``."""
         return self.action_features
 
     @property
@@ -304,8 +304,9 @@ class SmoothOperator(Teleoperator):
     def calibrate(self) -> None:
         """Ask the operator for pinches in the terminal, and store the gaps that the tracker leaves.
 
-        Takes half a minute. Afterwards no more commands are received: disconnect, and connect
-        again. The loop in this process then uses the gaps; ``teleop`` gets them by ``--operator``.
+        It takes half a minute. Afterwards no more commands are received: disconnect, and connect
+        again. The loop in this process then uses the gaps; for a separate ``teleop``, give the file
+        to ``--operator``.
 
         Raises:
             DeviceNotConnectedError: it is not connected.
@@ -319,12 +320,12 @@ class SmoothOperator(Teleoperator):
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first")
         if file is None or side == "both":
             raise ValueError(
-                "a calibration is of one hand of one operator: name both, as in "
+                "lerobot-calibrate calibrates one hand of one operator: name both, as in "
                 "--teleop.operator=anna --teleop.side=right"
             )
         gaps = calibrate_operator(file, self._newest, feed, side).pinch_gaps
         logger.info(
-            "wrote %s (pinch gaps: %s). A teleop of your own uses it with --operator %s",
+            "wrote %s (pinch gaps: %s). To use it in a separate teleop, add --operator %s",
             file,
             ", ".join(f"{finger} {gap:.3f} palm lengths" for finger, gap in gaps.items()) or "none",
             file,
@@ -445,7 +446,7 @@ class SmoothOperator(Teleoperator):
         }
 
     def enable_torque(self) -> None:
-        """Hold the action: it follows ``send_feedback``, and not the human."""
+        """Hold the action: it follows ``send_feedback`` instead of the human."""
         self._torque = True
 
     def disable_torque(self) -> None:
@@ -564,7 +565,7 @@ def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
     if config.wrist not in _WRIST_KEYS:
         raise ValueError(f"wrist must be one of {', '.join(_WRIST_KEYS)}, not {config.wrist!r}")
     if config.wrist == "delta" and (config.side == "both" or config.joints or config.arm):
-        raise ValueError("wrist=delta is for one hand, without joints and arm: remove them")
+        raise ValueError("wrist=delta works for one hand, without joints and arm: remove them")
     positive = ("delta_step_m", "wrist_scale")
     check_numbers(
         config, positive=positive, not_negative=("timeout_s", "hold_s"), finite=("wrist_yaw",)

@@ -98,7 +98,7 @@ class InProcess:
         arm: arm that carries the hand, as for ``--arm``; empty without an arm.
         wrist_joints: False if an arm follows the wrist, so that the hand's own wrist joints do not.
         operator: file of the operator's calibration, which the loop updates at its end; None for
-            none.
+            no file.
         bind: inputs of the operator's actions, as for ``--bind``.
         wrist_scale: ratio of the robot's translation to the operator's.
         wrist_yaw: direction of the tracker's x axis in the robot's base [degrees].

@@ -14,11 +14,12 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Edit(Common):
-    """Cut, mark or drop parts of a take of teleop, in a new take."""
+    """Cut and mark a take of teleop, and write the result as a new take."""
 
     work: ClassVar[str] = "smooth_operator.cli.edit:edit"
-    details: ClassVar[str] = """Times are seconds since the first frame or command. The takes stay
-as they are. The new ones have the history of their edits, and are read like any take.
+    details: ClassVar[str] = """Times are seconds since the first frame or command. The
+original takes are not changed. The new ones contain the history of their edits, and can be read
+like any other take.
 
 Examples:
   smooth-operator edit takes/pour.mcap --keep 1.5:8 --output takes/pour-short.mcap
@@ -27,19 +28,19 @@ Examples:
 """
 
     takes: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE.mcap...")]
-    """Logs of one run: of one hand, or of both hands."""
+    """Logs of one run, of one hand or of both hands."""
 
     output: Annotated[Path, arg(metavar="OUT")]
     """File to write; for several takes, a folder, in which they keep their names."""
 
     keep: Annotated[tuple[str, ...], arg(metavar="FROM:TO")] = ()
-    """Stretches to keep [s]. Default: all."""
+    """Time ranges to keep [s]. Default: all."""
 
     drop: Annotated[tuple[str, ...], arg(metavar="FROM:TO")] = ()
-    """Stretches to leave out [s]. The stamps stay, so each is a gap."""
+    """Time ranges to leave out [s]. Each leaves a gap, because the timestamps do not change."""
 
     mark: Annotated[tuple[str, ...], arg(metavar="SECONDS=TEXT")] = ()
-    """Moments to mark. A mark is an event of the next command."""
+    """Times to mark, with a text for each. A mark is stored as an event of the next command."""
 
     overwrite: bool = False
     """Replace existing files."""
@@ -48,14 +49,14 @@ Examples:
 def edit(options: Edit) -> None:
     """Writes the new takes, and prints what each contains."""
     from smooth_operator.teleop.recording.edit import Edit as Changes
-    from smooth_operator.teleop.recording.edit import as_mark, as_stretch, edit_logs
+    from smooth_operator.teleop.recording.edit import as_mark, as_range, edit_logs
     from smooth_operator.teleop.recording.log_reader import read_log
 
     if not options.takes:
         raise ConfigError("name a take: smooth-operator edit a.mcap --keep 1:8 --output b.mcap")
     changes = Changes(
-        tuple(map(as_stretch, options.keep)),
-        tuple(map(as_stretch, options.drop)),
+        tuple(map(as_range, options.keep)),
+        tuple(map(as_range, options.drop)),
         tuple(map(as_mark, options.mark)),
     )
     outputs = [options.output]

@@ -207,7 +207,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       drive a hand live from a tracker, with motion limits and a live page
   smooth-operator edit take.mcap --keep 1.5:8 --output short.mcap
-      cut, mark or drop parts of a take, in a new take
+      cut and mark a take, and write the result as a new take
   smooth-operator view out.npz glove.npz
       show the commands and the recorded hand side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap

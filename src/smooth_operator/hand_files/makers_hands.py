@@ -80,7 +80,7 @@ def makers_hand(name: str, side: Side) -> MakersHand:
     """A side of a hand of ``MAKERS_HANDS``; ConfigError if its author has no model of that side."""
     entry = MAKERS_HANDS[name]
     if side not in entry:
-        raise ConfigError(f"the author of the model of {name} publishes none of a {side} hand")
+        raise ConfigError(f"the author of {name} publishes no model of the {side} hand")
     about = {key: entry[key] for key in ("maker", "repository", "commit")}
     own = dict(entry[side])
     return MakersHand(

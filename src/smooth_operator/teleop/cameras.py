@@ -187,8 +187,8 @@ class Cameras:
 
         Returns:
             ``name``; ``number`` of the newest picture (0 without one), its ``time`` and ``age_s``
-            [s]; ``lost``: the camera is opened again; ``jpeg``: a picture that is not known, in
-            base64.
+            [s]; ``lost``: true while a lost camera is being opened again; ``jpeg``: the picture in
+            base64, if the page does not have it yet.
         """
         states = []
         for camera, feed in enumerate(self._feeds):

@@ -417,8 +417,8 @@ class HandCapsules:
     Attributes:
         radii: (c,) radii [m].
         halves: (c,) half lengths of the segments [m].
-        fingers: (c,) mask of the capsules that joints of the hand move; of all, for a gripper,
-            whose fixed jaw belongs to the palm.
+        fingers: (c,) mask of the capsules that joints of the hand move; for a gripper, whose fixed
+            jaw belongs to the palm, all capsules.
     """
 
     def __init__(self, mount: HandMount) -> None:

@@ -64,8 +64,8 @@ def arm_from_file(path: Path, tip: str, posture: Sequence[float] | None = None) 
     ]
     if slides or not joints:
         raise ConfigError(
-            f"arm {path}: expected joints that rotate between the base and {tip!r}, found "
-            f"{', '.join(slides) or 'none'}; name another link in tip="
+            f"arm {path}: expected only rotating joints between the base and {tip!r}, found "
+            f"{', '.join(slides) or 'no joint'}; name another link in tip="
         )
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0

@@ -63,8 +63,8 @@ class _Node:
         return self.visible and (self.parent is None or self.parent.shown)
 
     def values(self) -> Float[np.ndarray, "k v"]:
-        """State of the node: of a frame its pose (7), of a mesh for each instance the pose, the
-        three scales and the linear colour (0 to 1); NaN while it is hidden."""
+        """State of the node. For a frame: its pose (7). For a mesh: pose, three scales and linear
+        colour (0 to 1) of each instance. NaN while the node is hidden."""
         if self.mesh is None:
             return np.concatenate([self.position, self.wxyz])[None]
         placed: Any = self

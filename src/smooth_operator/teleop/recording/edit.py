@@ -1,4 +1,4 @@
-"""Edits a take: keeps or drops stretches of its log, and marks moments, in a new log."""
+"""Cuts and marks the log of a take, and writes the result as a new log."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Edit:
     """What to do with a take. Times are seconds since its first frame or command.
 
     Attributes:
-        keep: stretches (from, to) to keep; empty for all.
-        drop: stretches to leave out.
-        marks: (time, text) of moments, which become events of the next command.
+        keep: time ranges (from, to) to keep; empty for all.
+        drop: time ranges (from, to) to leave out.
+        marks: (time, text); each becomes an event of the next command.
     """
 
     keep: tuple[tuple[float, float], ...] = ()
@@ -48,13 +48,13 @@ class Edit:
     def __post_init__(self) -> None:
         for begin, end in (*self.keep, *self.drop):
             if not begin < end:
-                raise ConfigError(f"a stretch must end after it begins, not {begin:g}:{end:g}")
+                raise ConfigError(f"a time range must end after it begins, not {begin:g}:{end:g}")
         for time, text in self.marks:
             if not self.holds(time):
-                raise ConfigError(f"the mark {text!r} at {time:g} s is in a part that is left out")
+                raise ConfigError(f"the mark {text!r} at {time:g} s is in a part that is cut out")
 
     def holds(self, time: float) -> bool:
-        """True if the edit keeps a moment [s]."""
+        """True if the edit keeps what happened at a time [s]."""
         within = [begin <= time < end for begin, end in self.keep]
         return (any(within) or not within) and not any(a <= time < b for a, b in self.drop)
 
@@ -64,17 +64,19 @@ def edit_logs(
 ) -> list[Mapping[str, Any]]:
     """Writes edited copies of logs that were recorded together, such as those of both hands.
 
-    The copies keep the stamps, so a stretch that is left out is a gap in them, as if the tracker
-    had been lost. Each has the history of its edits in the ``meta`` of its origin, under ``edits``.
+    The copies keep the timestamps, so a time range that is left out becomes a gap, as if the
+    tracker had been lost. The history of the edits is in the ``meta`` of each copy's origin, under
+    ``edits``.
 
     Args:
-        paths: the logs, which stay as they are. Their common time starts at the earliest frame or
+        paths: the logs, which are not changed. Their common time starts at the earliest frame or
             command.
         outputs: file for the copy of each.
 
     Returns:
-        for each copy its entry in the history: ``source``, ``sha256`` of it, ``start`` (its stamp
-        of time 0 [s]), ``keep``, ``drop`` and ``marks``; an end that is None is that of the take.
+        the entry of each copy in its history: ``source`` and its ``sha256``, ``start`` (the
+        timestamp of time 0 [s]), ``keep``, ``drop`` and ``marks``. An end of None is the end of
+        the take.
 
     Raises:
         RecordingError: a file is not a log of this program, or nothing of it is kept; a mark is
@@ -178,17 +180,17 @@ def _copy(path: Path, output: Path, edit: Edit, start: int) -> Mapping[str, Any]
     return entry
 
 
-def as_stretch(text: str) -> tuple[float, float]:
+def as_range(text: str) -> tuple[float, float]:
     """Reads ``A:B`` [s]; without A from the start, without B to the end. ConfigError for another
     form."""
     begin, sign, end = text.partition(":")
     try:
-        stretch = float(begin or 0.0), float(end) if end else math.inf
+        span = float(begin or 0.0), float(end) if end else math.inf
     except ValueError:
         sign = ""
-    if not sign or math.isnan(sum(stretch)):
-        raise ConfigError(f"{text!r} is not a stretch; write FROM:TO in seconds: 1.5:8, 9:")
-    return stretch
+    if not sign or math.isnan(sum(span)):
+        raise ConfigError(f"{text!r} is not a time range; write FROM:TO in seconds: 1.5:8, 9:")
+    return span
 
 
 def as_mark(text: str) -> tuple[float, str]:

@@ -14,29 +14,29 @@ from page    content                                                            
 ``picture``  ``camera``: its place in ``cameras`` of ``view``                          ``PICTURE``
 ===========  ========================================================================  ============
 
-``welcome`` contains the ``session``; ``buttons``, name -> action of those that have one (for the
-action ``stop`` the page sends ``stop``); and ``pulses``: true if this program will send ``pulse``.
-That message lets the controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for a number
-of ``seconds``, and replaces the previous one. ``pong`` repeats ``at`` and contains ``host``, the
-time by the host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz]; and ``mode``,
-the state of the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock, from the
-fastest of the last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a
-frame by the host's clock, to within half the round trip.
+``welcome`` contains the ``session``; ``buttons``, name -> action of each button that has an action
+(for the action ``stop``, the page sends ``stop``); and ``pulses``: true if this program will send
+``pulse``. That message lets the controllers of a ``side`` vibrate with a ``strength`` of 0 to 1 for
+a number of ``seconds``, and replaces the previous one. ``pong`` repeats ``at`` and contains
+``host``, the time by the host's clock [s]; ``rate``, the rate of arriving frames with a hand [Hz];
+and ``mode``, the state of the loop (``Mailbox.mode``). ``offset`` is host clock minus page clock,
+from the fastest of the last round trips (as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the
+time of a frame by the host's clock, to within half the round trip.
 
 ``view`` describes the robot for drawing. Its ``number`` is 0 if there is no robot. ``nodes`` follow
 if the shapes have changed. Each has a ``parent`` (its place in the list; -1 for none) and a number
 of values (``count``). Unless it is a frame, it also has ``vertices`` (float32, 3 each [m]) and
 ``faces`` (uint32, 3 each) in base64, ``opacity``, ``flat`` (shading) and the ``side`` of the robot
 that it belongs to. ``middle`` is the middle of the picture in the first frame, whose x points
-right, y ahead and z up [m]. ``changed`` lists nodes and ``values`` contains their values in the
-same sequence, float32 in base64: of a frame its pose in its parent (x y z [m], quaternion w x y z),
-of a mesh for each instance its pose, three scales and linear red, green and blue from 0 to 1; NaN
-if it is hidden. ``hands`` are the robot hands by side: ``node`` (the frame of the palm), ``name``,
-``mode``, ``latched`` (fingers that pinch) and, while the operator's hand is seen, ``palm``, the
-pose of the robot's palm in the frame of the operator's wrist joint, and ``size``, that of the robot
-over the operator's. ``cameras`` are the states of the cameras, as ``Cameras.states`` gives them,
-and a picture older than ``late_s`` is late. The page sends ``look`` after the answer to the
-previous one.
+right, y ahead and z up [m]. ``changed`` lists nodes, and ``values`` contains their values in the
+same sequence, float32 in base64. The values of a frame are its pose in its parent (x y z [m],
+quaternion w x y z). The values of a mesh are, for each instance, its pose, three scales and linear
+red, green and blue from 0 to 1. The values of a hidden node are NaN. ``hands`` are the robot hands
+by side: ``node`` (the frame of the palm), ``name``, ``mode``, ``latched`` (fingers that pinch) and,
+while the operator's hand is seen, ``palm``, the pose of the robot's palm in the frame of the
+operator's wrist joint, and ``size``, that of the robot over the operator's. ``cameras`` are the
+states of the cameras, as ``Cameras.states`` gives them, and a picture older than ``late_s`` is
+late. The page sends ``look`` after the answer to the previous one.
 
 The first message must be ``hello``. A refused connection is closed with one of the codes below.
 """

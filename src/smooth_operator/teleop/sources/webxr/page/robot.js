@@ -15,11 +15,11 @@ const LABEL_DOWN = 0.045; // m from the palm
 /** Linear colour and share of the tint, and words, for a robot that does not follow. */
 const MODES = {
   waiting: [[0.4, 0.4, 0.4, 0.6], 'waiting for your hand'],
-  holding: [[1, 0.4, 0, 0.6], 'hand lost: it holds'],
-  easing: [[1, 0.4, 0, 0.6], 'hand lost: to its safe pose'],
+  holding: [[1, 0.4, 0, 0.6], 'hand lost: holding'],
+  easing: [[1, 0.4, 0, 0.6], 'hand lost: moving to safe pose'],
   paused: [[0.1, 0.3, 1, 0.6], 'paused'],
   stopped: [[1, 0, 0, 0.9], 'STOPPED'],
-  unlinked: [[1, 0.4, 0, 0.6], 'no link: it holds'],
+  unlinked: [[1, 0.4, 0, 0.6], 'no link: holding'],
 };
 const CLEAR = [0, 0, 0, 0];
 
