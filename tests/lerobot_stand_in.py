@@ -16,6 +16,7 @@ import pytest
 
 PACKAGES = Path(__file__).resolve().parents[1] / "packages"
 TELEOPERATOR = "lerobot_teleoperator_smooth_operator"
+CAMERA = "lerobot_camera_smooth_hand"
 ROBOT = "lerobot_robot_smooth_hand"
 ENVIRONMENT = "lerobot_env_smooth_hand"
 
@@ -24,8 +25,8 @@ REAL = importlib.util.find_spec("lerobot") is not None
 
 
 def use_plugins(patch: pytest.MonkeyPatch) -> None:
-    """Make both plug-ins importable, on LeRobot or on the stand-in."""
-    for name in (TELEOPERATOR, ROBOT):
+    """Make the plug-ins of devices importable, on LeRobot or on the stand-in."""
+    for name in (TELEOPERATOR, CAMERA, ROBOT):
         patch.syspath_prepend(str(PACKAGES / name))
     if not REAL:
         for name, module in _modules().items():

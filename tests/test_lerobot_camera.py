@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from lerobot_stand_in import REAL, ROBOT, use_plugins
+from lerobot_stand_in import CAMERA, REAL, ROBOT, use_plugins
 from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
@@ -83,6 +83,7 @@ def test_the_view_can_be_chosen_and_wrong_sizes_are_refused():
 @pytest.fixture
 def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
     use_plugins(monkeypatch)
+    import lerobot_camera_smooth_hand as camera
     import lerobot_robot_smooth_hand as package
     from lerobot.utils import errors
 
@@ -91,16 +92,16 @@ def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
         monkeypatch.setattr(
             robot,
             "_cameras",
-            lambda config: {n: package.SmoothHandCamera(c) for n, c in config.cameras.items()},
+            lambda config: {n: camera.SmoothHandCamera(c) for n, c in config.cameras.items()},
         )
-    yield SimpleNamespace(package=package, errors=errors)
-    for name in [n for n in sys.modules if n.startswith(ROBOT) and not REAL]:
+    yield SimpleNamespace(package=package, camera=camera, errors=errors)
+    for name in [n for n in sys.modules if n.startswith((CAMERA, ROBOT)) and not REAL]:
         del sys.modules[name]  # they hold the classes of a stand-in that is gone
 
 
 def test_the_robots_observations_have_pictures_of_its_simulated_hand(plugin):
     camera_at(HandPhysics(load_hand("mimic_p050")), 64, 64).close()  # or there is no OpenGL
-    config = plugin.package.SmoothHandCameraConfig(width=96, height=64, fps=20)
+    config = plugin.camera.SmoothHandCameraConfig(width=96, height=64, fps=20)
     robot = plugin.package.SmoothHand(
         plugin.package.SmoothHandConfig(sinks=["mujoco:task=cube"], cameras={"front": config})
     )
@@ -131,15 +132,15 @@ def test_the_robots_observations_have_pictures_of_its_simulated_hand(plugin):
 
 
 def test_a_camera_without_a_simulated_hand_says_so(plugin):
-    config = plugin.package.SmoothHandCameraConfig(side="left")
+    config = plugin.camera.SmoothHandCameraConfig(side="left")
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="belongs to the robot"):
-        plugin.package.SmoothHandCamera(config).connect()
+        plugin.camera.SmoothHandCamera(config).connect()
     robot = plugin.package.SmoothHand(plugin.package.SmoothHandConfig(cameras={"front": config}))
     with pytest.raises(ValueError, match="a hand in simulation"):
         robot.connect()
     assert not robot.is_connected
     with pytest.raises(ValueError, match="above 0"):
-        plugin.package.SmoothHandCamera(plugin.package.SmoothHandCameraConfig(width=0))
+        plugin.camera.SmoothHandCamera(plugin.camera.SmoothHandCameraConfig(width=0))
 
 
 class Drawing:
@@ -167,10 +168,10 @@ class Drawing:
 @pytest.fixture
 def drawing(plugin, monkeypatch) -> Iterator[Drawing]:
     """The camera of a hand whose pictures come when the test wants them."""
-    module = sys.modules[f"{ROBOT}.smooth_hand_camera"]
+    module = sys.modules[f"{CAMERA}.smooth_hand_camera"]
     made = Drawing(monkeypatch, module)
-    config = plugin.package.SmoothHandCameraConfig(width=32, height=24, fps=1000, stale_s=1.0)
-    camera = plugin.package.SmoothHandCamera(config)
+    config = plugin.camera.SmoothHandCameraConfig(width=32, height=24, fps=1000, stale_s=1.0)
+    camera = plugin.camera.SmoothHandCamera(config)
     camera._side = "right"
     camera._simulation = SimpleNamespace(snapshot=lambda side: ("physics", np.zeros(1)))
     made.camera = camera

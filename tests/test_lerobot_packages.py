@@ -5,13 +5,13 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-from lerobot_stand_in import ENVIRONMENT, PACKAGES, ROBOT, TELEOPERATOR
+from lerobot_stand_in import CAMERA, ENVIRONMENT, PACKAGES, ROBOT, TELEOPERATOR
 from plugin_environment import environment_with
 
 MAIN = tomllib.loads((PACKAGES.parent / "pyproject.toml").read_text())["project"]
 
 
-NAMES = (ENVIRONMENT, ROBOT, TELEOPERATOR)
+NAMES = (CAMERA, ENVIRONMENT, ROBOT, TELEOPERATOR)
 
 ASK = f"""
 import importlib.metadata, importlib.util, json, pathlib

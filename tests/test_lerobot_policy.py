@@ -1,7 +1,7 @@
 """The documented commands with the real LeRobot, word for word: record, train, roll out, evaluate,
 edit, correct by DAgger; and a log that merges with a recording.
 
-Needs LeRobot and our three plug-ins installed; CI has a job with them (``lerobot-policy``).
+Needs LeRobot and our four plug-ins installed; CI has a job with them (``lerobot-policy``).
 """
 
 import contextlib

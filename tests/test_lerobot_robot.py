@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
 from free_port import free_port
-from lerobot_stand_in import REAL, ROBOT, use_plugins
+from lerobot_stand_in import CAMERA, REAL, ROBOT, use_plugins
 from live_time import PATIENCE_S
 
 from smooth_operator import Hand, load_hand
@@ -26,7 +26,7 @@ def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
     from lerobot.utils import errors
 
     yield SimpleNamespace(package=package, errors=errors)
-    for name in [n for n in sys.modules if n.startswith(ROBOT) and not REAL]:
+    for name in [n for n in sys.modules if n.startswith((CAMERA, ROBOT)) and not REAL]:
         del sys.modules[name]  # they hold the classes of a stand-in that is gone
 
 

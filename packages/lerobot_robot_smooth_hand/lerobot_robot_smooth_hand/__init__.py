@@ -1,18 +1,6 @@
-"""LeRobot robot ``smooth_hand``, a simulated or real robot hand, and a camera for a simulated
-hand."""
-
-import contextlib
-
-from smooth_operator.errors import ConfigError
-from smooth_operator.simulation.renderer import draw_off_screen
-
-# before MuJoCo is imported, which chooses its OpenGL then; a machine without one has no pictures
-with contextlib.suppress(ConfigError):
-    draw_off_screen()
+"""LeRobot robot ``smooth_hand``, a simulated or real robot hand."""
 
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
-from lerobot_robot_smooth_hand.config_smooth_hand_camera import SmoothHandCameraConfig
 from lerobot_robot_smooth_hand.smooth_hand import SmoothHand
-from lerobot_robot_smooth_hand.smooth_hand_camera import SmoothHandCamera
 
-__all__ = ["SmoothHand", "SmoothHandCamera", "SmoothHandCameraConfig", "SmoothHandConfig"]
+__all__ = ["SmoothHand", "SmoothHandConfig"]

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 from lerobot.robots.robot import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot_camera_smooth_hand import SmoothHandCamera
 
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
 from lerobot_robot_smooth_hand.hand_port import FACTORS, TACTILE, HandPort
-from lerobot_robot_smooth_hand.smooth_hand_camera import SmoothHandCamera
 from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand

@@ -12,7 +12,7 @@ import numpy as np
 from lerobot.cameras.camera import Camera
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_smooth_hand.config_smooth_hand_camera import SmoothHandCameraConfig
+from lerobot_camera_smooth_hand.config_smooth_hand_camera import SmoothHandCameraConfig
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.simulation.camera import SimulatedCamera, View
 from smooth_operator.teleop.sinks.simulation import Simulation
