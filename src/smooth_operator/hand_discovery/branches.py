@@ -111,8 +111,8 @@ class Branches:
             )
             raise HandModelError(
                 f"no fingers found: {why}. The palm must be a body from which two to five "
-                "chains of limited joints branch; use a model that has one, name the palm with "
-                "--palm, or the joint of a gripper's jaw with --gripper"
+                "chains of limited joints branch; use a model that has one, or name the palm with "
+                "--palm, or, for a gripper, name the joint of its jaw with --gripper"
             )
         return tuple(hands)
 

@@ -241,7 +241,7 @@ class PersistentPool(Generic[T, R]):
         if self._false_starts > max(2, self._retries):
             raise WorkerError(
                 f"{self._false_starts} workers in a row ended before their first task "
-                f"({worker.exit()}); their messages are on the standard error. A script that "
+                f"({worker.exit()}); their messages are on standard error. A script that "
                 "starts workers needs 'if __name__ == \"__main__\":' around its main code; each "
                 "worker needs memory for its own libraries"
             )

@@ -20,9 +20,9 @@ ACTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "go": ("start a trial", ("g",)),
     "reset": ("put the object back", ("o",)),
     "done": ("end the trial", ("d",)),
-    "success": ("episode: success", ("s",)),
-    "end": ("episode: end", ("e",)),
-    "again": ("episode: again", ("a",)),
+    "success": ("mark the episode as a success", ("s",)),
+    "end": ("end the episode without success", ("e",)),
+    "again": ("end the episode and record it again", ("a",)),
     "quit": ("end the run", ("q",)),
 }
 """Action -> its meaning and its default inputs."""

@@ -180,7 +180,10 @@ class LivePanel:
             hint = "transparent, at its measured pose"
             self._simulated = switch("Simulated hand", True, "set_simulated", hint)
         self._sound = gui.add_checkbox(
-            "Sound of contact", False, visible=self._scene.simulated, hint="of the robot's fingers"
+            "Sound of contact",
+            False,
+            visible=self._scene.simulated,
+            hint="when the robot's fingers touch something",
         )
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         view.on_click(from_person(lambda event: self._scene.aiming.aim(event.client)))
