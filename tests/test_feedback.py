@@ -2,7 +2,6 @@
 
 import json
 import socket
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from live_time import until
-from ticks import make_tick
+from ticks import felt, make_tick
 
 from smooth_operator import Hand
 from smooth_operator.errors import ConfigError
@@ -22,7 +21,7 @@ from smooth_operator.teleop.sinks import feedback as module
 from smooth_operator.teleop.sinks.feedback import VALID_S, Feedback
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import SinkRunner
-from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
+from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.teleop.sources.webxr import WebXr
 
 
@@ -48,17 +47,6 @@ class Broken(Feedback):
             raise OSError("the cable is out")
 
         return fail, lambda: None
-
-
-def felt(hand: Hand, levels: Any, *, age: float = 0.0, mode: Mode = Mode.TRACKING) -> Tick:
-    """A tick with a measured contact, or with none."""
-    contact = None if levels is None else Contact(np.array(levels), np.full(len(levels), np.nan))
-    stamp = time.perf_counter() - age
-    positions = np.zeros(len(hand.joint_names))
-    state = HandState(
-        hand.spec.side, hand.name, stamp, hand.joint_names, positions, contact=contact
-    )
-    return replace(make_tick(hand, mode=mode), state=state)
 
 
 def test_strength_caps_and_a_contact_that_is_not_finite_is_nothing(hand):

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from made_hands import hand_points
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandFrame, JointCommand, Status
 
@@ -54,6 +54,17 @@ def make_tick(
         1.1 if frame else float("nan"),
         events,
     )
+
+
+def felt(hand: Hand, levels: Any, *, age: float = 0.0, mode: Mode = Mode.TRACKING) -> Tick:
+    """A tick with a measured contact, or with none."""
+    contact = None if levels is None else Contact(np.array(levels), np.full(len(levels), np.nan))
+    stamp = time.perf_counter() - age
+    positions = np.zeros(len(hand.joint_names))
+    state = HandState(
+        hand.spec.side, hand.name, stamp, hand.joint_names, positions, contact=contact
+    )
+    return replace(make_tick(hand, mode=mode), state=state)
 
 
 @dataclass

@@ -2,6 +2,8 @@
  * end. Written from the OpenXR specification 1.0 (structures, result codes, session life cycle,
  * actions, XR_EXT_hand_tracking, XR_HTCX_vive_tracker_interaction, XR_MND_headless, XR_KHR_convert_timespec_time) and its loader's interface:
  * https://registry.khronos.org/OpenXR/specs/1.1/html/xrspec.html and .../loader.html
+ * and, for the tensors that feedback pushes, from XR_NVX1_push_tensor.h and XR_NVX1_tensor_data.h in
+ * deps/cloudxr/openxr_extensions of https://github.com/NVIDIA/IsaacTeleop (Apache-2.0)
  */
 #include <stddef.h>
 #include <stdint.h>
@@ -20,7 +22,8 @@ enum { SUCCESS = 0, EVENT_UNAVAILABLE = 4, SESSION_NOT_FOCUSED = 8, VALIDATION =
        GRAPHICS_DEVICE_INVALID = -38 };
 enum { IDLE = 1, READY = 2, SYNCHRONIZED = 3, VISIBLE = 4, FOCUSED = 5, STOPPING = 6 };
 enum { INSTANCE = 11, SYSTEM = 22, SESSION = 33, SPACE = 44, TRACKER = 50 /* + hand */,
-       ACTION_SET = 66, ACTION = 77, ACTION_SPACE = 100 /* + path */ };
+       ACTION_SET = 66, ACTION = 77, ACTION_SPACE = 100 /* + path */,
+       TENSORS = 200 };
 enum { JOINTS = 26 };
 
 typedef struct { uint64_t flags; float orientation[4], position[3]; float radius; } Joint;
@@ -28,7 +31,7 @@ typedef struct { uint64_t flags; float orientation[4], position[3]; float radius
 static const char *EXTENSIONS[] = {
     "XR_EXT_hand_tracking", "XR_MND_headless", "XR_KHR_convert_timespec_time",
     "XR_MNDX_xdev_space", "XR_EXTX_overlay", "XR_NVX1_tensor_data", "XR_NVX1_opaque_data_channel",
-    "XR_HTCX_vive_tracker_interaction"};
+    "XR_HTCX_vive_tracker_interaction", "XR_NVX1_push_tensor"};
 enum { KNOWN = sizeof EXTENSIONS / sizeof *EXTENSIONS };
 static int offered = 7, stage = 1, headset = 1, can_track = 1, ready_at_once = 0;
 static int enabled, state, running, instances;
@@ -39,6 +42,9 @@ static int64_t asked;
 static char paths[16][256]; /* a path is its place, from 1 */
 static int known, attached, synced, located_flags[16];
 static float placed[16][7];
+static char collection[256];
+static uint32_t sample_size, pushed;
+static uint8_t samples[64][256];
 
 static void push(int next) { state = next; queue[last++ % 64] = next; }
 
@@ -73,7 +79,7 @@ static XrResult create_instance(
         if (!known) return EXTENSION_NOT_PRESENT;
         enabled |= known;
     }
-    first = last = state = running = known = attached = synced = 0;
+    first = last = state = running = known = attached = synced = pushed = 0;
     memset(located_flags, 0, sizeof located_flags);
     instances++;
     *out = INSTANCE;
@@ -294,6 +300,28 @@ static XrResult convert_back(Handle instance, int64_t from, struct timespec *out
     return SUCCESS;
 }
 
+static XrResult create_tensors(Handle session, const struct { int32_t type; const void *next;
+                               const Header *tensors; char identifier[256], shown[256];
+                               uint8_t uuid[16]; uint32_t count, size; } *info,
+                               void *result, Handle *out) {
+    if (session != SESSION) return HANDLE_INVALID;
+    if (info->type != 1000850003 || info->count != 1 || info->tensors->type != 1000850002) return VALIDATION;
+    if (!info->identifier[0] || !info->size || info->size > sizeof *samples) return VALIDATION;
+    strcpy(collection, info->identifier);
+    sample_size = info->size;
+    *out = TENSORS;
+    return SUCCESS;
+}
+
+static XrResult push_tensors(Handle tensors, const struct { int32_t type; const void *next;
+                             int64_t time; uint64_t device_time; const uint8_t *buffer;
+                             uint32_t size; } *data) {
+    if (tensors != TENSORS) return HANDLE_INVALID;
+    if (data->type != 1000850005 || data->size < sample_size) return VALIDATION;
+    memcpy(samples[pushed++ % 64], data->buffer, sample_size);
+    return SUCCESS;
+}
+
 static XrResult get_proc_addr(Handle instance, const char *name, void **out) {
     static const struct { const char *name; void *function; int needs; } TABLE[] = {
         {"xrGetInstanceProcAddr", get_proc_addr, 0},
@@ -323,6 +351,9 @@ static XrResult get_proc_addr(Handle instance, const char *name, void **out) {
         {"xrSyncActions", sync_actions, 0},
         {"xrCreateActionSpace", create_action_space, 0},
         {"xrLocateHandJointsEXT", locate, 1},
+        {"xrCreatePushTensorCollectionNV", create_tensors, 256},
+        {"xrPushTensorCollectionDataNV", push_tensors, 256},
+        {"xrDestroyPushTensorCollectionNV", destroy, 256},
         {"xrConvertTimespecTimeToTimeKHR", convert_time, 4},
         {"xrConvertTimeToTimespecTimeKHR", convert_back, 4},
     };
@@ -362,6 +393,9 @@ void show_tracker(const char *role, int flags, const float *pose) {
             located_flags[k] = flags;
         }
 }
+int pushed_samples(void) { return pushed; }
+const uint8_t *pushed_sample(int number) { return samples[number % 64]; }
+const char *pushed_to(void) { return collection; }
 int open_instances(void) { return instances; }
 int is_running(void) { return running; }
 int64_t last_time(void) { return asked; }

@@ -331,6 +331,8 @@ FEEDBACK: Final = Registry(
     },
     needs=SINKS.needs,
     advice="derive the class from smooth_operator.teleop.Sink",
+    elsewhere={"isaac": _advice("isaac")},
+    summaries={"isaac": _summary("vibration of Isaac Teleop's controllers or gloves", "isaac")},
 )
 """Registry of outputs of feedback: dataclasses of settings (``Feedback``)."""
 

@@ -27,8 +27,8 @@ class TeleopRequest(MethodRequest):
     """Sinks that receive the commands, besides the page."""
 
     feedback: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
-    """Outputs of contact for the operator's fingers: zmq:ADDRESS, udp:HOST:PORT, webxr
-    (docs/how-to/feedback.md)."""
+    """Outputs of contact for the operator's fingers: zmq:ADDRESS, udp:HOST:PORT, webxr,
+    isaac (docs/how-to/feedback.md)."""
 
     camera: Annotated[tuple[str, ...], arg(metavar="CAMERA[,SETTINGS]")] = ()
     """Cameras whose pictures the page and the headset show (webcam extra): a number or device, the

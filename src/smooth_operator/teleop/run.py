@@ -69,11 +69,11 @@ from smooth_operator.teleop.runtime.priority import going_first, low_jitter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, sink_actions
 from smooth_operator.teleop.sinks.tick import Driver
-from smooth_operator.teleop.sources.combined import CombinedSource
+from smooth_operator.teleop.sources.combined import CombinedSource, part_of
 from smooth_operator.teleop.sources.live import LiveSource, source_gaps
 from smooth_operator.teleop.sources.played import Replay
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
-from smooth_operator.teleop.sources.webxr import headset_in
+from smooth_operator.teleop.sources.webxr import WebXr
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
@@ -172,7 +172,7 @@ def teleoperate(
         source = _with_wrist(source, request.wrist_source, sides, operator, reporter)
     for kind, there, remedy in (
         ("pedal", request.pedal is not None, "name its device with --pedal"),
-        ("button", headset_in(source) is not None, "controllers need --source webxr"),
+        ("button", part_of(source, WebXr) is not None, "controllers need --source webxr"),
     ):
         if not there and (unused := [one for one in bindings if one.startswith(f"{kind}:")]):
             reporter.note(f"{', '.join(unused)}: no effect in this run; {remedy}", matters=True)
@@ -200,7 +200,7 @@ def teleoperate(
         reporter=reporter,
         started=started,
     )
-    if request.camera and page is None and headset_in(source) is None:
+    if request.camera and page is None and part_of(source, WebXr) is None:
         raise ConfigError(
             "--camera shows pictures on the live page or in a headset: remove --no-view, or use "
             "--source webxr"
@@ -393,7 +393,7 @@ class _Run:
             **takes.actions,
             **actions(loop, self.bindings, say),
         }
-        headset = headset_in(source)
+        headset = part_of(source, WebXr)
         if page is not None or headset is not None:
             from smooth_operator.teleop.pages.live.live_session import LiveSession
 

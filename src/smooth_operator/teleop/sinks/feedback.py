@@ -25,8 +25,9 @@ from smooth_operator.teleop.runtime.statistics import RecentTimes, percentiles
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Tick
 from smooth_operator.teleop.sinks.zmq_sink import check_address, encode, open_publisher
+from smooth_operator.teleop.sources.combined import part_of
 from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.webxr import WebXr, headset_in
+from smooth_operator.teleop.sources.webxr import WebXr
 from smooth_operator.types import Side
 
 FORMAT: Final = 1
@@ -299,7 +300,7 @@ class WebXrFeedback(Feedback):
 
     def use_source(self, source: LiveSource) -> None:
         """Take the headset among the sources; see ``Feedback``."""
-        headset = headset_in(source)
+        headset = part_of(source, WebXr)
         if headset is None:
             raise ConfigError(
                 "--feedback webxr needs a headset: use --source webxr or --wrist-source webxr"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from smooth_operator.types import HandFrame, Side
 
 WRIST_AGE_S: Final = 0.1
 """Age of a wrist's pose after which it does not count as valid [s]."""
+_Part = TypeVar("_Part")
 _WORST_FIRST: Final = ("failed", "ended", "waiting", "running")
 
 
@@ -85,3 +86,9 @@ class CombinedSource:
         state = min((health.state for _, health in both), key=_WORST_FIRST.index)
         details = (f"{label}: {health.detail}" for label, health in both if health.detail)
         return SourceHealth(state, "; ".join(details))
+
+
+def part_of(source: LiveSource, kind: type[_Part]) -> _Part | None:
+    """Return a source, or the part of a ``CombinedSource``, that is of a class; None if none is."""
+    parts = (source.hands, source.wrist) if isinstance(source, CombinedSource) else (source,)
+    return next((part for part in parts if isinstance(part, kind)), None)

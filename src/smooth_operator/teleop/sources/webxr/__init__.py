@@ -2,4 +2,3 @@
 
 from smooth_operator.teleop.sources.webxr.link import LinkState as LinkState
 from smooth_operator.teleop.sources.webxr.source import WebXr as WebXr
-from smooth_operator.teleop.sources.webxr.source import headset_in as headset_in

@@ -28,9 +28,7 @@ from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
 from smooth_operator.own_files import make_private, read_own_file
 from smooth_operator.settings import check_range
-from smooth_operator.teleop.sources.combined import CombinedSource
 from smooth_operator.teleop.sources.live import (
-    LiveSource,
     Running,
     SourceHealth,
     ThreadedSource,
@@ -400,12 +398,6 @@ class WebXr(ThreadedSource):
 
         with opened.listening:
             asyncio.run(serve(opened.listening, opened.certificate, opened.context, link, watch))
-
-
-def headset_in(source: LiveSource) -> WebXr | None:
-    """The headset's browser among the parts of a source; None if there is none."""
-    parts = (source.hands, source.wrist) if isinstance(source, CombinedSource) else (source,)
-    return next((part for part in parts if isinstance(part, WebXr)), None)
 
 
 @dataclass(frozen=True)
