@@ -15,7 +15,7 @@ from smooth_operator_devices.trackers.isaac_hands import Haptics, IsaacHands
 class IsaacFeedback(Feedback):
     """Lets the controllers or gloves of the source ``isaac`` vibrate.
 
-    Controllers vibrate as strongly as the finger with most contact, gloves at each finger.
+    Controllers vibrate with the highest level of all fingers; gloves vibrate at each finger.
 
     Attributes:
         collection: collection that the plug-in of the gloves reads, such as

@@ -50,7 +50,7 @@ class Haptics:
         self._kind: Any = None
 
     def put(self, message: dict[str, Any]) -> None:
-        """Leave the levels of a hand for the next step; safe from any thread."""
+        """Store the levels of a hand for the next step; safe from any thread."""
         levels = dict(zip(message["fingers"], message["levels"], strict=True))
         self._newest[message["side"]] = [levels.get(finger, 0.0) for finger in FINGERS]
 

@@ -89,6 +89,6 @@ class CombinedSource:
 
 
 def part_of(source: LiveSource, kind: type[_Part]) -> _Part | None:
-    """Return a source, or the part of a ``CombinedSource``, that is of a class; None if none is."""
+    """Return the source, or the part of a ``CombinedSource``, of a class; None without one."""
     parts = (source.hands, source.wrist) if isinstance(source, CombinedSource) else (source,)
     return next((part for part in parts if isinstance(part, kind)), None)
