@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import zipfile
 import subprocess
 import sys
 from dataclasses import replace
@@ -357,8 +358,10 @@ def test_a_damaged_pack_is_replaced(copy):
     make(request(folder, output))
     assert contents(output) == before
     packs = sorted((output / "work").rglob("pack-*.zip"))
+    with zipfile.ZipFile(packs[0]) as pack:
+        array = pack.getinfo("0/commands.right.joint_positions.npy")
     data = bytearray(packs[0].read_bytes())
-    data[len(data) // 4] ^= 1  # in an array, which is found when it is read
+    data[array.header_offset + array.compress_size] ^= 1  # is found when the array is read
     packs[0].write_bytes(data)
     shutil.rmtree(output / "dataset")
     with pytest.raises(RecordingError, match="run the same command again"):
