@@ -4,9 +4,9 @@ import json
 import os
 import re
 import shutil
-import zipfile
 import subprocess
 import sys
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
