@@ -26,6 +26,7 @@ from smooth_operator.calibration.operator_file import (
 )
 from smooth_operator.calibration.segments import PROMPTS
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.control.bindings import ACTIONS
 from smooth_operator.teleop.sinks.sink import sink_actions
 from smooth_operator.teleop.sinks.tick import ArmCommand
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink, command_message
@@ -753,7 +754,7 @@ def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
     assert events("again", "blending") == "1011"
     now.clock.now += 5.0  # nothing comes any more
     assert not any(now.device.get_teleop_events().values())
-    assert said == [f"episode: {what}" for what in ("success", "success", "end", "again")]
+    assert said == [ACTIONS[name][0] for name in ("success", "success", "end", "again")]
 
 
 @pytest.mark.lerobot
