@@ -75,7 +75,7 @@ class TaskSession:
         self._pauses = 0
         self._clear_since: float | None = None
         self._written: Path | None = None  # record of the last trial that ended
-        self._disk = threading.Lock()
+        self._writing: threading.Thread | None = None
         self.failed = ""
         simulation.watch(side, self.observe)
 
@@ -200,8 +200,7 @@ class TaskSession:
                 return False
             self._written = None
             record.about = {**record.about, "marked": word}
-        target = path.with_name(f"{word}-{path.name}")
-        threading.Thread(target=self._write, args=(target, record, path), name="trial").start()
+            self._write(path.with_name(f"{word}-{path.name}"), record, path)
         return True
 
     def report(self) -> dict[str, Any]:
@@ -295,20 +294,28 @@ class TaskSession:
         if self._folder is not None:
             record, path = self._record, self._folder / self._name()
             self._written = path
-            # In a thread: the physics must not wait for the disk.
-            threading.Thread(target=self._write, args=(path, record), name="trial").start()
+            self._write(path, record)
         if self._done is not None:
             self._done(outcome)
 
     def _write(self, path: Path, record: TrialRecord, old: Path | None = None) -> None:
-        try:
-            with self._disk:
+        """Writes a record in a thread, because the physics must not wait for the disk; after the
+        record before, so that a mark finds it."""
+        before = self._writing
+
+        def write() -> None:
+            if before is not None:
+                before.join()
+            try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_trial(path, record)
                 if old is not None:
                     old.unlink(missing_ok=True)
-        except OSError as error:
-            self.failed = str(error)
+            except OSError as error:
+                self.failed = str(error)
+
+        self._writing = threading.Thread(target=write, name="trial")
+        self._writing.start()
 
     def _name(self) -> str:
         assert self._folder is not None
