@@ -162,8 +162,9 @@ class AeroDevice(HandDevice):
             line.close()
 
     def _synchronise(self) -> None:
-        """Shift the frames byte by byte until the hand answers twice."""
-        for _ in range(_FRAME + 1):
+        """Shift the frames byte by byte until the hand answers twice; two rounds, because an answer
+        may be late on a busy machine."""
+        for _ in range(2 * _FRAME + 1):
             try:
                 self._asked(_ASK_POSITIONS, seconds=_PROBE)
                 self._asked(_ASK_POSITIONS)
