@@ -209,6 +209,20 @@ def hand() -> Any:
 
 
 @pytest.fixture(scope="module")
+def emulator(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The script of the emulated headset, or a skip."""
+    from emulated_headset import NoEmulator, fetch_emulator
+
+    cache = getattr(request.config, "cache", None)  # may be switched off
+    try:
+        return fetch_emulator(
+            tmp_path_factory.mktemp("iwer") if cache is None else Path(cache.mkdir("iwer"))
+        )
+    except NoEmulator as why:
+        pytest.skip(str(why))
+
+
+@pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """A headless browser with software rendering, or a skip."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

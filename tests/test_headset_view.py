@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 from browser_page import picture
-from emulated_headset import NoEmulator, fetch_emulator, new_headset
+from emulated_headset import new_headset
 from live_time import PATIENCE_S
 from live_time import until as eventually
 
@@ -222,18 +222,6 @@ def test_an_error_is_noted_once_and_the_link_goes_on(hand, capfd):
     assert capfd.readouterr().err.count("out of paint") == 1
     session.trouble = None
     assert view.look(0)["number"]
-
-
-@pytest.fixture(scope="module")
-def emulator(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The script of the emulated headset, or a skip."""
-    cache = getattr(request.config, "cache", None)  # may be switched off
-    try:
-        return fetch_emulator(
-            tmp_path_factory.mktemp("iwer") if cache is None else Path(cache.mkdir("iwer"))
-        )
-    except NoEmulator as why:
-        pytest.skip(str(why))
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser_page import picture
-from emulated_headset import NoEmulator, fetch_emulator, new_headset
+from emulated_headset import new_headset
 from live_time import PATIENCE_S
 from live_time import until as eventually
 
@@ -598,18 +598,6 @@ def test_an_address_that_no_headset_can_open_comes_with_what_to_give():
     assert "webxr:0.0.0.0" in here
     there = describe(LinkState(), ("https://192.168.1.20:8443",), Pairing("AB12CD")).detail
     assert "0.0.0.0" not in there
-
-
-@pytest.fixture(scope="module")
-def emulator(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The script of the emulated headset, or a skip."""
-    cache = getattr(request.config, "cache", None)  # may be switched off
-    try:
-        return fetch_emulator(
-            tmp_path_factory.mktemp("iwer") if cache is None else Path(cache.mkdir("iwer"))
-        )
-    except NoEmulator as why:
-        pytest.skip(str(why))
 
 
 def text(page: Any, part: str) -> str:

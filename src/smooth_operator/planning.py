@@ -301,16 +301,16 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 def foreign_result(path: Path) -> str | None:
     """Reason why ``OUT.npz`` and its configuration can't be written: one of the files exists and is
     not an earlier result. None if they can be written."""
-    beside = config_path(path)
-    for existing in (path, beside):
+    settings_file = config_path(path)
+    for existing in (path, settings_file):
         if existing.exists() and not existing.is_file():
             return f"can't write {str(existing)!r}: it is not a plain file; {_ELSEWHERE}"
-    if read_configuration(beside) is not None:
+    if read_configuration(settings_file) is not None:
         return None  # the other file is its result, whole or damaged
-    if beside.exists():
+    if settings_file.exists():
         return (
-            f"can't write {str(beside)!r}, the configuration file of {path.name}: it exists and is "
-            f"not a configuration; {_ELSEWHERE}"
+            f"can't write {str(settings_file)!r}, the configuration file of {path.name}: it exists "
+            f"and is not a configuration; {_ELSEWHERE}"
         )
     if path.exists():
         try:

@@ -122,5 +122,5 @@ def make_env(
         ``smooth_hand`` -> number of the task, in the order card, cube, screwdriver -> environment.
     """
     configs = [SmoothHandEnv(task=name) for name in TASKS] if cfg is None else [cfg]
-    made = [each.create_envs(n_envs, use_async_envs)["smooth_hand"][0] for each in configs]
-    return {"smooth_hand": dict(enumerate(made))}
+    environments = [each.create_envs(n_envs, use_async_envs)["smooth_hand"][0] for each in configs]
+    return {"smooth_hand": dict(enumerate(environments))}

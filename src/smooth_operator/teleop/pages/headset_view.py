@@ -245,7 +245,7 @@ class HeadsetView:
         wrist joint (position [m], quaternion wxyz), and the size of robot over human."""
         hand, state = self._hands[side], states.get(side, {})
         root: Any = self._scene.root_of(side)
-        told = {
+        message = {
             "node": self._nodes.index(root),
             "name": hand.name,
             "mode": state.get("mode", "waiting"),
@@ -253,14 +253,14 @@ class HeadsetView:
         }
         arrival = self._session.arrival(side)
         if self._scene.has_task:  # the palm does not move, so it stays in front of the operator
-            told |= {"palm": None, "size": None}
+            message |= {"palm": None, "size": None}
         elif arrival is not None and state.get("human") is not None:
             now = time.monotonic()
             if now >= self._next_fit.get(side, -np.inf):
                 self._next_fit[side] = now + _FIT_EVERY_S
                 self._fits[side] = _palm_in_wrist(arrival, hand, state["scale"])
-            told |= self._fits[side]
-        return told
+            message |= self._fits[side]
+        return message
 
 
 def _palm_in_wrist(arrival: Arrival, hand: Hand, scale: float | None) -> dict[str, Any]:
