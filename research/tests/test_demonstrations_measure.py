@@ -8,7 +8,7 @@ import pytest
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE
-from smooth_operator.simulation.scenes import SCENES
+from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.synthetic.tracker import TRACKERS
 from smooth_operator_research.demonstrations.demonstration import load_demonstration
 from smooth_operator_research.demonstrations.practice import (
@@ -39,7 +39,7 @@ def test_worlds_are_the_unperturbed_one_and_those_asked_for():
     assert [unit.name for unit in MEASURE.units(SETTINGS)] == ["world 0", "world 1", "world 2"]
     assert len(MEASURE.units(PhysicsSettings(output=Path("results")))) == 101
     conditions = MEASURE.conditions(PhysicsSettings(output=Path("results"), trackers=("headset",)))
-    assert conditions == tuple(f"{task} headset" for task in SCENES)
+    assert conditions == tuple(f"{task} headset" for task in FIXED_WRIST)
     with pytest.raises(UnknownNameError, match="tracker 'sonar'"):
         PhysicsSettings(output=Path("results"), trackers=("sonar",))
 
@@ -140,8 +140,10 @@ def test_the_plots_show_every_task():
             "ceiling": 1.0,
             "tip_error_mm": 0.3,
         }
-        for task in SCENES
+        for task in FIXED_WRIST
         for k in range(1, 4)
     ]
     drawings = MEASURE.draw(MeasureResults(MEASURE.figures, rows), {"ako": "#000000"})
-    assert [drawing.name for drawing in drawings] == [f"demonstrations-{task}" for task in SCENES]
+    assert [drawing.name for drawing in drawings] == [
+        f"demonstrations-{task}" for task in FIXED_WRIST
+    ]

@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, StudyError
 from smooth_operator.landmarks import TIPS
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.task import TASKS
+from smooth_operator.simulation.tasks.catalogue import TASKS
 from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.synthetic.tracker import TrackerModel, tracker_model
 from smooth_operator_research.demonstrations.trial_loop import perform

@@ -11,7 +11,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGE, OBS_STATE,
 
 from lerobot_env_smooth_hand.environment import OBJECT_NAMES
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.tasks import TASKS
+from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.types import as_side
 
 
@@ -121,6 +121,6 @@ def make_env(
     Returns:
         ``smooth_hand`` -> number of the task, in the order card, cube, screwdriver -> environment.
     """
-    configs = [SmoothHandEnv(task=name) for name in TASKS] if cfg is None else [cfg]
+    configs = [SmoothHandEnv(task=name) for name in FIXED_WRIST] if cfg is None else [cfg]
     environments = [each.create_envs(n_envs, use_async_envs)["smooth_hand"][0] for each in configs]
     return {"smooth_hand": dict(enumerate(environments))}

@@ -16,7 +16,7 @@ from smooth_operator.simulation.camera import SimulatedCamera
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.physics import draw_variation
 from smooth_operator.simulation.scenes.scene import OBJECT_POSE, object_pose
-from smooth_operator.simulation.tasks import TASKS, Phase, TaskRun, task_named
+from smooth_operator.simulation.tasks import FIXED_WRIST, Phase, TaskRun, task_named
 from smooth_operator.types import as_side
 
 LOOKS_HZ: Final = 100.0
@@ -212,7 +212,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
 
 def register() -> None:
     """Register the tasks for ``gymnasium.make``; a second call changes nothing."""
-    for name in TASKS:
+    for name in FIXED_WRIST:
         if f"smooth_hand/{name}" not in gymnasium.registry:
             gymnasium.register(
                 f"smooth_hand/{name}",

@@ -11,7 +11,8 @@ from study_console import command, console_plan, give, walk
 
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
-from smooth_operator.simulation.tasks.task import GENERAL_RUBRIC, TASKS, RubricLine
+from smooth_operator.simulation.tasks.catalogue import TASKS
+from smooth_operator.simulation.tasks.task import GENERAL_RUBRIC, RubricLine
 from smooth_operator_study.console.session_service import Command, SessionService
 from smooth_operator_study.design.plan import Plan, make_plan
 from smooth_operator_study.design.plan_file import read_plan

@@ -22,7 +22,8 @@ from smooth_operator.errors import ConfigError, HandModelError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.loading import load_spec
 from smooth_operator.hands.penetration import parts_above
-from smooth_operator.simulation.arms.arm import CarriedHand, add_servo, inertia_matrix
+from smooth_operator.simulation.arms.arm import add_servo, inertia_matrix
+from smooth_operator.simulation.arms.free_wrist import HandCarrier
 
 ARMATURE: Final = 5e-4
 """Minimum inertia of a finger motor's rotor, as seen through its gears [kg m^2]."""
@@ -231,11 +232,11 @@ class HandPhysics:
         pushes harder.
         gravity: True for gravity along -z of the model's world.
         furnish: adds the surroundings of the hand, see ``build_physics``.
-        carried: the arm on which ``furnish`` puts the hand; None for a fixture.
+        carried: the arm or free wrist on which ``furnish`` puts the hand; None for a fixture.
 
     Attributes:
         time: simulated time [s].
-        carried: the arm that carries the hand; None on a fixture.
+        carried: the arm or free wrist that carries the hand; None on a fixture.
         resets: number of times that the simulation diverged and was reset to the command.
     """
 
@@ -246,7 +247,7 @@ class HandPhysics:
         bandwidth: float = 20.0,
         gravity: bool = False,
         furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
-        carried: CarriedHand | None = None,
+        carried: HandCarrier | None = None,
     ) -> None:
         if not (0.0 < timestep <= 0.005 and 0.0 < bandwidth <= 0.05 / timestep):
             raise ConfigError(
@@ -297,7 +298,8 @@ class HandPhysics:
 
     @property
     def arm_positions(self) -> Float[np.ndarray, " a"] | None:
-        """(a,) positions of the joints of the arm [rad]; None without an arm."""
+        """(a,) positions of the joints of the arm, or of the free wrist [rad or m]; None on a
+        fixture."""
         return None if self._arm is None else np.array(self._data.qpos[self._arm.qpos])
 
     @property

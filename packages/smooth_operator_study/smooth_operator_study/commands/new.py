@@ -11,7 +11,8 @@ from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.retargeting.registry import METHODS
-from smooth_operator.simulation.tasks.task import PAPER_TASKS, TASKS
+from smooth_operator.simulation.tasks.catalogue import FIXED_WRIST, TASKS
+from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.terminal import printable
 from smooth_operator_study.commands.options import Enrol, New
 from smooth_operator_study.design.forms import DEFAULT_FORMS
@@ -114,7 +115,7 @@ def _protocol(options: New) -> Protocol:
     rate = options.rate if options.conditions or options.rate is not None else PAPER_RATE_HZ
     names = [condition.name for condition in conditions]
     templates = {task.name: task for task in PAPER_TASKS}
-    templates |= {name: replace(one.task, name=name) for name, one in TASKS.items()}
+    templates |= {name: replace(TASKS[name].task, name=name) for name in FIXED_WRIST}
     operators = options.operators
     if options.tasks:
         tasks = tuple(_task(text, templates) for text in options.tasks)

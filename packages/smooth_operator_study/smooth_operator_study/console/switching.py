@@ -23,7 +23,8 @@ from smooth_operator.errors import (
     StudyError,
     UnknownNameError,
 )
-from smooth_operator.simulation.tasks.task import SimulatedTask, task_named
+from smooth_operator.simulation.tasks.catalogue import task_named
+from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator_study.design.plan import Block
 from smooth_operator_study.design.protocol import Condition
 from smooth_operator_study.store.progress import Progress

@@ -21,7 +21,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.scenes.task_scenes import scene_for
-from smooth_operator.simulation.tasks.task import TASKS, task_named
+from smooth_operator.simulation.tasks.catalogue import FIXED_WRIST, task_named
 from smooth_operator.simulation.tasks.trial import TaskRun
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import as_side
@@ -70,8 +70,8 @@ class Demonstration:
 
 def demonstrated_hands(task: str) -> list[str]:
     """Names of the hands that have a demonstration of a task, the default hand first."""
-    if task not in TASKS:
-        raise UnknownNameError("task", task, TASKS)
+    if task not in FIXED_WRIST:
+        raise UnknownNameError("task", task, FIXED_WRIST)
     hands = [hand.name for hand in _FOLDER.iterdir() if (hand / f"{task}.json").is_file()]
     return sorted(hands, key=lambda name: (name != DEFAULT_HAND, name))
 

@@ -18,6 +18,7 @@ from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.task_scenes import CardScene
+from smooth_operator.simulation.tasks.catalogue import task_named
 from smooth_operator.simulation.tasks.task import (
     GOAL,
     HOLD_S,
@@ -28,7 +29,6 @@ from smooth_operator.simulation.tasks.task import (
     CubeScorer,
     ScrewdriverScorer,
     pinches,
-    task_named,
 )
 from smooth_operator.types import as_side
 from smooth_operator_research.demonstrations.demonstration import (

@@ -14,7 +14,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.task import TASKS, rotation
+from smooth_operator.simulation.tasks.catalogue import FIXED_WRIST, TASKS
+from smooth_operator.simulation.tasks.task import rotation
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
@@ -122,7 +123,7 @@ class Demonstrations:
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
         """Each task with each tracker, as ``card headset``."""
-        return tuple(f"{task} {tracker}" for task in TASKS for tracker in settings.trackers)
+        return tuple(f"{task} {tracker}" for task in FIXED_WRIST for tracker in settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """World 0, which is unperturbed, and the requested number of perturbed worlds."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from smooth_operator.simulation.tasks.task import TASKS, task_named
+from smooth_operator.simulation.tasks.catalogue import FIXED_WRIST, task_named
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.physics.measure import Case, Drawing, Measured, PhysicsSettings, Unit
 from smooth_operator_research.physics.page import interval_drawings
@@ -47,7 +47,7 @@ class VirtualOperators:
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
         """Each task with each tracker, as ``card headset``."""
-        return tuple(f"{task} {tracker}" for task in TASKS for tracker in settings.trackers)
+        return tuple(f"{task} {tracker}" for task in FIXED_WRIST for tracker in settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """Simulated persons."""

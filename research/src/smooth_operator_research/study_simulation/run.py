@@ -19,7 +19,7 @@ from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.simulation.scenes.task_scenes import scene_for
-from smooth_operator.simulation.tasks.task import task_named
+from smooth_operator.simulation.tasks.catalogue import task_named
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND

@@ -21,6 +21,7 @@ from jaxtyping import Float, Int
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import CarriedHand, WristKinematics
+from smooth_operator.simulation.arms.free_wrist import HandCarrier
 from smooth_operator.simulation.physics import FURNISHED, HandPhysics, finger_bodies
 from smooth_operator.simulation.scenes.scene import (
     OBJECT,
@@ -172,6 +173,7 @@ _KINDS: Final = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("capsule", 2),  # of length 0
 }
 
 
@@ -194,7 +196,8 @@ class ScenePhysics(HandPhysics):
         scene: the scene around the hand.
         timestep: time step of the physics [s].
         bandwidth: bandwidth of the servos [Hz].
-        carried: an arm that carries the hand and stands in front of the task; None for a fixture.
+        carried: an arm that carries the hand and stands in front of the task, or a free wrist;
+            None for a fixture.
 
     Attributes:
         scene: the scene around the hand.
@@ -208,12 +211,12 @@ class ScenePhysics(HandPhysics):
         scene: Scene,
         timestep: float = 0.002,
         bandwidth: float = 20.0,
-        carried: CarriedHand | None = None,
+        carried: HandCarrier | None = None,
     ) -> None:
         self.scene = scene
         self._ghost = self._fixed = self._away = False  # until there is a model
         self.starts = 0
-        placed = None if carried is None else in_front(carried, scene)
+        placed = in_front(carried, scene) if isinstance(carried, CarriedHand) else carried
         super().__init__(
             hand,
             timestep,
@@ -226,6 +229,8 @@ class ScenePhysics(HandPhysics):
         joint = model.joint(OBJECT)
         self._at, self._moves = int(joint.qposadr[0]), int(joint.dofadr[0])
         self._body = model.body(OBJECT).id
+        part = scene.mechanism
+        self._mechanism = int(model.joint(part).qposadr[0]) if part else None
         tips = [model.body(FURNISHED + finger.tip.body).id for finger in hand.spec.fingers]
         soften_pads(model, self._body, tips)
         self._needed = min(2, len(hand.fingers) - 1)
@@ -278,6 +283,7 @@ class ScenePhysics(HandPhysics):
             self._fixed,
             self.starts,
             self._away,
+            0.0 if self._mechanism is None else float(self._data.qpos[self._mechanism]),
         )
 
     def parts(self) -> list[ScenePart]:
@@ -405,15 +411,20 @@ class ObjectVariation:
         turn: rotation of the object about the vertical [rad].
         friction: factor of the object's friction.
         mass: factor of the object's mass.
+        shape: number of the object's shape, in scenes that have several.
+        target: (3,) shift of the target, in scenes that have one [m].
     """
 
     shift: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
     turn: float = 0.0
     friction: float = 1.0
     mass: float = 1.0
+    shape: int = 0
+    target: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     def scene(self, scene: _S) -> _S:
         """Returns the scene with the object at the start of this variation."""
+        scene = scene.varied(self.shape, self.target)
         position, quaternion = scene.start
         shift = np.array([*self.shift, 0.0])
         about = np.array([np.cos(self.turn / 2), 0.0, 0.0, np.sin(self.turn / 2)])
@@ -448,4 +459,36 @@ def draw_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariat
         turn=TURN_RAD * float(unit[2]),
         friction=1.0 + FRICTION * float(unit[3]),
         mass=1.0 + MASS_SHARE * float(unit[4]),
+    )
+
+
+WRIST_SHIFT_M: Final = 0.02
+"""Largest shift of the object along x and y in tasks with a moving wrist [m]."""
+
+WRIST_TURN_RAD: Final = float(np.radians(15.0))
+"""Largest rotation of the object about the vertical in those tasks [rad]."""
+
+TARGET_M: Final = (0.10, 0.10, 0.05)
+"""Largest shift of the target along x, y and z in those tasks [m]."""
+
+WRIST_FRICTION: Final = 0.25
+"""Largest relative deviation of the object's friction in those tasks."""
+
+_SHAPES: Final = 6  # a multiple of the number of shapes of every scene
+
+
+def draw_wrist_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariation:
+    """Draws a random variation for a task with a moving wrist, uniform within its limits.
+
+    Args:
+        scale: factor of all limits; 0 for the nominal object, of any shape.
+    """
+    unit = scale * rng.uniform(-1.0, 1.0, 8)
+    return ObjectVariation(
+        shift=WRIST_SHIFT_M * unit[:2],
+        turn=WRIST_TURN_RAD * float(unit[2]),
+        friction=1.0 + WRIST_FRICTION * float(unit[3]),
+        mass=1.0 + MASS_SHARE * float(unit[4]),
+        shape=int(rng.integers(_SHAPES)),
+        target=np.array(TARGET_M) * unit[5:],
     )

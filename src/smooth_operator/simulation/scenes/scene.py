@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import ClassVar, Final, Self
 
 import mujoco
 import numpy as np
@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import CarriedHand, HandMount, hand_directions
+from smooth_operator.simulation.arms.arm import HandMount, Pose, hand_directions, pose_of, rigid
+from smooth_operator.simulation.arms.free_wrist import HandCarrier
 from smooth_operator.simulation.physics import FURNISHED
 
 
@@ -36,6 +37,13 @@ class Mount:
     wrist: Float[np.ndarray, "3"]
     frame: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]
     palm: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
+
+    @property
+    def wrist_pose(self) -> Pose:
+        """(7,) pose in the world of the wrist frame, as in ``HandMount``."""
+        distal, back = self.directions[:, 0], -self.directions[:, 2]
+        turn = np.stack([distal, np.cross(back, distal), back], axis=1)
+        return pose_of(rigid(turn, self.wrist))
 
     def world(self, point: ArrayLike) -> Float[np.ndarray, "3"]:
         """Converts a point (distal, radial and palmar from the wrist [m]) to the world (3,) [m]."""
@@ -143,9 +151,12 @@ class Scene(ABC):
         fixture: True if a fixture holds the object until the hand does.
         view: azimuth and elevation of a camera that sees a right hand at work [degrees], in
             MuJoCo's convention; for a left hand the azimuth is negated.
+        mechanism: name of the joint of a part that moves in the scene, such as a nail; empty
+            without one.
     """
 
     view: ClassVar[tuple[float, float]]
+    mechanism: ClassVar[str] = ""
 
     mount: Mount
     start: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]
@@ -161,11 +172,21 @@ class Scene(ABC):
     def add_object(self, body: mujoco.MjsBody) -> None:
         """Add the shapes of the object to its body."""
 
-    def furnish(self, hand: mujoco.MjSpec, carried: CarriedHand | None = None) -> mujoco.MjSpec:
+    def varied(self, shape: int, shift: Float[np.ndarray, "3"]) -> Self:
+        """Returns the scene with another shape of its object and the target at another place; the
+        scene itself if it has one shape and no target.
+
+        Args:
+            shape: number of the shape, modulo the number of shapes.
+            shift: (3,) shift of the target from its nominal place [m].
+        """
+        return self
+
+    def furnish(self, hand: mujoco.MjSpec, carried: HandCarrier | None = None) -> mujoco.MjSpec:
         """Build the world with the hand in it; see ``build_physics``.
 
         Args:
-            carried: the arm that carries the hand, at its place in the scene; None for a fixture.
+            carried: arm or free wrist that carries the hand, at its place; None for a fixture.
         """
         hand.option.gravity = (0.0, 0.0, -9.81)
         world = empty_world(hand)
@@ -287,6 +308,7 @@ class SceneState:
         fixed: True while the fixture holds the object.
         starts: number of times that the object was put to its start.
         away: True while there is no object, as in free movement; ``position`` is then its start.
+        mechanism: position of the scene's moving part [m]; 0 without one.
     """
 
     time: float
@@ -302,6 +324,7 @@ class SceneState:
     fixed: bool = False
     starts: int = 0
     away: bool = False
+    mechanism: float = 0.0
 
 
 def object_pose(

@@ -1,4 +1,5 @@
-"""Scenes of the three tasks, around any hand: card pickup, cube rotation, screwdriver pivot."""
+"""Scenes of tasks, around any hand; here those of the study: card pickup, cube rotation,
+screwdriver pivot."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.scenes.relocate import relocate_scene
 from smooth_operator.simulation.scenes.scene import (
     PLATFORM,
     Scene,
@@ -298,6 +300,7 @@ SCENES: Final[dict[str, Callable[[Hand], Scene]]] = {
     "card": card_scene,
     "cube": cube_scene,
     "screwdriver": screwdriver_scene,
+    "relocate": relocate_scene,
 }
 """Name of the task -> function that builds the scene for a hand."""
 

@@ -454,9 +454,9 @@ class Task:
         return lines[name]
 
 
-_DROPPED: Final = RubricLine("dropped", 0.0, "the object left the hand's workspace")
-_GAVE_UP: Final = RubricLine("not-done", 0.0, "the operator gave up, or the time ran out")
-_RESET: Final = RubricLine("done-after-reset", 0.5, "done after the one allowed reset")
+DROPPED: Final = RubricLine("dropped", 0.0, "the object left the hand's workspace")
+GAVE_UP: Final = RubricLine("not-done", 0.0, "the operator gave up, or the time ran out")
+AFTER_RESET: Final = RubricLine("done-after-reset", 0.5, "done after the one allowed reset")
 
 CARD_PICKUP: Final = Task(
     "A",
@@ -466,13 +466,13 @@ CARD_PICKUP: Final = Task(
     operators=12,
     rubric=(
         RubricLine("done", 1.0, "slid over the edge and held in a pinch, without a reset"),
-        _RESET,
+        AFTER_RESET,
         RubricLine(
             "out-of-reach", 0.5, "out of reach or flicked across the top; pinched after a reset"
         ),
         RubricLine("no-edge", 0.5, "pinched and lifted without having gone over the edge"),
-        _DROPPED,
-        _GAVE_UP,
+        DROPPED,
+        GAVE_UP,
     ),
 )
 
@@ -488,8 +488,8 @@ CUBE_ROTATION: Final = Task(
             "misaligned", 0.5, "turned, after a reset because the faces were badly misaligned"
         ),
         RubricLine("flipped", 0.5, "turned, but the cube flipped onto another face on the way"),
-        _DROPPED,
-        _GAVE_UP,
+        DROPPED,
+        GAVE_UP,
     ),
 )
 
@@ -504,9 +504,9 @@ SCREWDRIVER_PIVOT: Final = Task(
         RubricLine(
             "nearly", 0.5, "points nearly straight down, and the hand can't adjust it further"
         ),
-        _RESET,
-        _DROPPED,
-        _GAVE_UP,
+        AFTER_RESET,
+        DROPPED,
+        GAVE_UP,
     ),
 )
 
@@ -525,6 +525,7 @@ class SimulatedTask:
         after_reset: line of the rubric for success after the reset.
         after_stuck: line of the rubric for success after a reset without which the trial could not
             go on.
+        moves_wrist: True if the hand must be moved, by an arm or a free wrist.
     """
 
     name: str
@@ -533,35 +534,4 @@ class SimulatedTask:
     scorer: Callable[[Any], Scorer]
     after_reset: str
     after_stuck: str
-
-
-def _simulated(
-    name: str,
-    task: Task,
-    seconds: float,
-    scorer: Callable[[Any], Scorer],
-    after: tuple[str, str],
-) -> SimulatedTask:
-    return SimulatedTask(name, replace(task, time_limit_s=seconds), seconds, scorer, *after)
-
-
-TASKS: Final[dict[str, SimulatedTask]] = {
-    task.name: task
-    for task in (
-        _simulated("card", CARD_PICKUP, 60.0, CardScorer, (_RESET.name, "out-of-reach")),
-        _simulated("cube", CUBE_ROTATION, 120.0, CubeScorer, ("misaligned", "misaligned")),
-        _simulated(
-            "screwdriver", SCREWDRIVER_PIVOT, 60.0, ScrewdriverScorer, (_RESET.name, _RESET.name)
-        ),
-    )
-}
-"""Name -> task."""
-
-
-def task_named(name: str) -> SimulatedTask:
-    """Returns a task by its name here or in the paper (A, B, C); UnknownNameError if there is no
-    such task."""
-    for task in TASKS.values():
-        if name in (task.name, task.task.name):
-            return task
-    raise UnknownNameError("task", name, TASKS)
+    moves_wrist: bool = False

@@ -15,7 +15,8 @@ from jaxtyping import Float
 from smooth_operator.errors import SinkError, StudyError
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes.scene import SceneState
-from smooth_operator.simulation.tasks.task import SimulatedTask, task_named
+from smooth_operator.simulation.tasks.catalogue import task_named
+from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun, TrialRecord, write_trial
 from smooth_operator.types import Side
 

@@ -174,9 +174,9 @@ class Simulation(Sink):
     def arm_base(self, side: Side) -> Matrix | None:
         """Pose of an arm's base in the scene of a task; see ``LiveSimulation``."""
         physics = None if self._world is None else self._world.physics.get(side)
-        if not isinstance(physics, ScenePhysics) or physics.carried is None:
-            return None
-        return physics.carried.base
+        if isinstance(physics, ScenePhysics) and isinstance(physics.carried, CarriedHand):
+            return physics.carried.base
+        return None
 
     def scene_of(self, side: Side) -> Scene:
         """The scene around a hand; SinkError if the simulation is closed, has no such hand, or no

@@ -1,0 +1,117 @@
+"""Scene of ``relocate``: a ball, a cylinder or a cube on a table, and a target in the air."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Final, NamedTuple, Self
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.scenes.scene import add_shape
+from smooth_operator.simulation.scenes.table_scene import TOP, TableScene, mount_over
+
+
+class Shape(NamedTuple):
+    """A shape of the object.
+
+    Attributes:
+        kind: MuJoCo's shape.
+        size: half lengths, or radius and half length [m].
+        height: height of the centre above the table [m].
+        mass: mass [kg].
+    """
+
+    kind: mujoco.mjtGeom
+    size: Sequence[float]
+    height: float
+    mass: float
+
+
+SHAPES: Final[dict[str, Shape]] = {
+    "ball": Shape(mujoco.mjtGeom.mjGEOM_SPHERE, (0.035,), 0.035, 0.18),
+    "cylinder": Shape(mujoco.mjtGeom.mjGEOM_CYLINDER, (0.025, 0.05), 0.05, 0.12),
+    "cube": Shape(mujoco.mjtGeom.mjGEOM_BOX, (0.02, 0.02, 0.02), 0.02, 0.06),
+}
+"""Name -> shape. Ball: size and mass of Adroit's (Gymnasium-Robotics ``relocate``)."""
+
+_TARGET: Final = (0.0, 0.15, 0.22)  # from the object's place on the table to the target [m]
+_ABOVE: Final = 0.20  # height of the grasp centre above the table at the start [m]
+_PITCH: Final = np.radians(45.0)  # tilt of the fingers down from level at the start
+_FRICTION: Final = (0.8, 0.002)  # rubber on plastic; torsion of a soft fingertip [m]
+_MARK: Final = 0.03  # radius of the mark at the target [m]
+_REACH: Final = 0.6  # half of the workspace's side [m]
+
+
+@dataclass(frozen=True, eq=False)
+class RelocateScene(TableScene):
+    """Scene with the hand above the object, palm down and fingers tilted.
+
+    Attributes:
+        shape: name of the object's shape in ``SHAPES``.
+    """
+
+    view: ClassVar = (140.0, -20.0)
+
+    shape: str
+
+    def varied(self, shape: int, shift: Float[np.ndarray, "3"]) -> Self:
+        """See ``Scene.varied``."""
+        name = list(SHAPES)[shape % len(SHAPES)]
+        (x, y, _), turn = self.start
+        start = (np.array([x, y, TOP + self.scale * SHAPES[name].height]), turn)
+        return replace(self, shape=name, start=start, target=self.target + shift)
+
+    def add_platform(self, world: mujoco.MjSpec) -> None:
+        """The table, and the mark at the target."""
+        super().add_platform(world)
+        world.worldbody.add_geom(
+            name="target",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=(_MARK * self.scale, 0.0, 0.0),
+            pos=self.target,
+            rgba=(0.0, 0.62, 0.45, 0.35),
+            contype=0,
+            conaffinity=0,
+        )
+
+    def add_object(self, body: mujoco.MjsBody) -> None:
+        """The ball, cylinder or cube."""
+        shape = SHAPES[self.shape]
+        add_shape(
+            body,
+            self.shape,
+            shape.kind,
+            np.array(shape.size) * self.scale,
+            mass=shape.mass * self.scale**3,
+            friction=_FRICTION,
+            color=(0.84, 0.37, 0.0, 1.0),
+        )
+
+
+def relocate_scene(hand: Hand, shape: str = "ball", scale: float = 1.0) -> RelocateScene:
+    """Makes the scene with the hand's grasp centre above the object; HandModelError if thumb and
+    fingers can't be 5 cm apart.
+
+    Args:
+        shape: name in ``SHAPES``.
+        scale: factor of the object's lengths; its mass has the third power of it.
+    """
+    pitch = (np.sin(_PITCH), np.cos(_PITCH))
+    at = mount_over(
+        hand, (0.0, 0.0, TOP + _ABOVE), up=(-pitch[0], 0, -pitch[1]), forward=(pitch[1], 0, 0)
+    )
+    place = np.array([0.0, 0.0, TOP + scale * SHAPES[shape].height])
+    return RelocateScene(
+        mount=at,
+        start=(place, np.array([1.0, 0.0, 0.0, 0.0])),
+        lower=np.array([-_REACH, -_REACH, 0.0]),
+        upper=np.array([_REACH, _REACH, 1.0]),
+        fixture=False,
+        target=np.array([0.0, 0.0, TOP]) + _TARGET,
+        scale=scale,
+        shape=shape,
+    )

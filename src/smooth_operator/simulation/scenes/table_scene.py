@@ -1,0 +1,91 @@
+"""Scenes of tasks with a moving wrist: a hand starts above a table on which the object lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.free_wrist import FreeWrist
+from smooth_operator.simulation.scenes.scene import (
+    PLATFORM,
+    Mount,
+    Scene,
+    add_shape,
+    mount,
+    opposition,
+)
+
+TOP: Final = 0.02
+"""Height of the table's top above the floor [m]."""
+
+GRASP_GAP: Final = 0.05
+"""Distance of thumb and fingers at which a hand's grasp centre is taken [m]."""
+
+_TABLE: Final = 0.3  # half of the table's side [m]
+_TABLE_FRICTION: Final = (0.5, 0.001)
+_ROLLING: Final = 0.001  # rolling resistance of the table's cloth [m]
+
+
+@dataclass(frozen=True, eq=False)
+class TableScene(Scene):
+    """Scene whose object lies on a table, around the origin of the world.
+
+    Attributes:
+        target: (3,) place of the goal in the world [m].
+        scale: factor of the lengths of object and goal.
+    """
+
+    target: Float[np.ndarray, "3"]
+    scale: float
+
+    def add_platform(self, world: mujoco.MjSpec) -> None:
+        """The table."""
+        add_shape(
+            world.worldbody,
+            PLATFORM,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            (_TABLE, _TABLE, TOP / 2),
+            mass=0.0,
+            at=(0.0, 0.0, TOP / 2),
+            friction=_TABLE_FRICTION,
+            color=(0.62, 0.5, 0.38, 1.0),
+            priority=2,
+        )
+        table = world.geom(PLATFORM)
+        table.condim, table.friction = 6, (*_TABLE_FRICTION, _ROLLING)
+
+    def free_wrist(self, hand: Hand) -> FreeWrist:
+        """Returns a free wrist that starts at the scene's mount."""
+        return FreeWrist(hand, self.mount.wrist_pose)
+
+
+def grasp_centre(hand: Hand, gap: float = GRASP_GAP) -> Float[np.ndarray, "3"]:
+    """Returns the (3,) middle between thumb and fingers: distal, radial, palmar from the wrist [m].
+
+    Args:
+        gap: distance of thumb and fingers [m].
+
+    Raises:
+        HandModelError: the hand can't have that gap.
+    """
+    middle = np.concatenate([opposition(hand, name, gap) for name in hand.fingers[1:3]])
+    return np.asarray(np.median(middle, axis=0))
+
+
+def mount_over(hand: Hand, centre: ArrayLike, *, up: ArrayLike, forward: ArrayLike) -> Mount:
+    """Places a hand so that its grasp centre is at a point of the world.
+
+    Args:
+        centre: (3,) the point [m].
+        up: see ``mount``.
+        forward: see ``mount``.
+    """
+    oriented = mount(hand, up=up, forward=forward)
+    wrist = np.asarray(centre, float) - oriented.directions @ grasp_centre(hand)
+    return mount(hand, up=up, forward=forward, wrist=wrist)
