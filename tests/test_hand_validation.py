@@ -501,3 +501,11 @@ def test_the_exit_status_says_how_it_went(tmp_path, capfd):
     assert "index tip is fixed to the palm" in out
     assert main(["hands", "check", "no_such_hand"]) == 2
     assert "no_such_hand" in capfd.readouterr().err
+
+
+def test_a_scorecard_names_the_distribution_that_it_needs(monkeypatch, capfd):
+    monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {})
+    assert main(["hands", "check", "inspire_hand", "--scorecard"]) == 2
+    assert "smooth-retargeting-research" in capfd.readouterr().err
+    assert main(["hands", "check", "inspire_hand", "--out", "card.html"]) == 2
+    assert "add --scorecard" in capfd.readouterr().err

@@ -6,11 +6,14 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Quiet
+from smooth_operator.errors import ConfigError
+from smooth_operator.plugins import Registry
 
 if TYPE_CHECKING:
     from smooth_operator.hand_discovery.checks import HandValidation, Verdict
@@ -28,7 +31,8 @@ status is 0 if no check failed, 1 if a check failed, 2 if the hand can't be load
 Examples:
   smooth-operator hands check my_hand
   smooth-operator hands check my_hand.right.toml --quick
-  smooth-operator hands check shadow_hand --side left --json"""
+  smooth-operator hands check shadow_hand --side left --json
+  smooth-operator hands check wuji_hand --scorecard --out card.html"""
 
     hand: Annotated[Positional[str], arg(metavar="SPEC")]
     """Name of a hand, or path of a spec file (.toml)."""
@@ -48,7 +52,24 @@ Examples:
     json: bool = False
     """Print one JSON object on standard output instead of the checklist."""
 
+    scorecard: bool = False
+    """Print a scorecard instead of the checklist: what the thumb touches (Kapandji), the sizes of
+    objects in each grasp, reach, and the human postures that the hand takes. Needs the distribution
+    smooth-retargeting-research."""
 
+    out: Annotated[Path | None, arg(metavar="HTML")] = None
+    """With --scorecard: page to write, with pictures of the thumb at each place."""
+
+
+SCORECARDS: Final = Registry(
+    "scorecard",
+    {},
+    elsewhere={
+        "card": "of the distribution smooth-retargeting-research: "
+        "python -m pip install ./research in a clone of the repository"
+    },
+)
+"""Functions that print a scorecard, from the options and the function of a progress bar."""
 FAILED: Final = 1
 """Exit status when a check failed."""
 _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
@@ -61,7 +82,7 @@ _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
 
 
 def check_hand_command(options: Check) -> None:
-    """Checks a hand and prints the checklist."""
+    """Checks a hand and prints the checklist, or its scorecard."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.hand_discovery import check_hand
 
@@ -72,6 +93,13 @@ def check_hand_command(options: Check) -> None:
         yield from bar.track(steps, task_id=task)
         bar.remove_task(task)
 
+    if options.scorecard:
+        print_scorecard = SCORECARDS.load("card")
+        with bar:
+            print_scorecard(options, track)
+        return
+    if options.out is not None:
+        raise ConfigError("--out writes the page of a scorecard; add --scorecard")
     with bar:
         validation = check_hand(
             options.hand,

@@ -474,7 +474,7 @@ def geom_points(model: mujoco.MjModel) -> dict[int, list[Float[np.ndarray, "p 3"
             faces = model.mesh_face[face : face + int(model.mesh_facenum[mesh])]
             points = _denser(points.astype(np.float64), np.asarray(faces))
         else:
-            points = _primitive(kind, model.geom_size[g])
+            points = shape_points(kind, model.geom_size[g])
         if len(points):
             mujoco.mju_quat2Mat(rotation, model.geom_quat[g])
             placed = points.astype(float) @ rotation.reshape(3, 3).T + model.geom_pos[g]
@@ -549,8 +549,8 @@ def _origin(element: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray
     return out.reshape(3, 3), position
 
 
-def _primitive(kind: mujoco.mjtGeom, sizes: np.ndarray) -> Float[np.ndarray, "p 3"]:
-    """Points on the whole surface of a shape, which ``far_end`` cuts into sections."""
+def shape_points(kind: mujoco.mjtGeom, sizes: np.ndarray) -> Float[np.ndarray, "p 3"]:
+    """Points on the whole surface of a shape that is no mesh, in its own frame [m]."""
     size = np.asarray(sizes, np.float64)
     points: np.ndarray
     ball = _sphere()
