@@ -19,7 +19,7 @@ MODULES = sorted(
     ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
     for path in SOURCE.rglob("*.py")
 )
-WORDS = ["paper", "ablate", "physics", "study simulate", "bench --physics"]
+WORDS = ["paper", "ablate", "physics", "cross-hand run", "study simulate", "bench --physics"]
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -35,7 +35,7 @@ def test_the_commands_are_those_that_the_package_expects():
 
 
 @pytest.mark.parametrize(
-    "words", ["paper", "ablate", "physics", "study simulate", "bench --physics"]
+    "words", ["paper", "ablate", "physics", "cross-hand", "study simulate", "bench --physics"]
 )
 def test_a_command_has_help(words, capsys):
     assert main([*words.split(), "--help"]) == 0

@@ -278,7 +278,7 @@ _RESEARCH: Final = (
 _DISTRIBUTIONS: Final = {
     "study": _STUDY,
     "hardware": _DEVICES,
-    **dict.fromkeys(("paper", "ablate", "physics", "study.simulate"), _RESEARCH),
+    **dict.fromkeys(("paper", "ablate", "physics", "cross-hand", "study.simulate"), _RESEARCH),
 }
 """Maps a command to the distribution of this repository that adds it, and to the line that installs
 it."""

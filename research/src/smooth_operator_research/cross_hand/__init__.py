@@ -1,0 +1,1 @@
+"""One human demonstration, played on every robot hand."""

@@ -1,0 +1,111 @@
+"""Trials of the cross-hand matrix: record, retarget, replay in physics, score."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from smooth_operator.benchmark.cells import select_methods
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.retargeting.batching import BatchRetargeter
+from smooth_operator.retargeting.known_gaps import known_gaps
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.simulation.tasks.task import PRESSES_N
+from smooth_operator_research.cross_hand import fixed_wrist
+from smooth_operator_research.cross_hand.fixed_wrist import Watch
+from smooth_operator_research.cross_hand.results import Cell, Row, Trial
+from smooth_operator_research.demonstrations.trial_loop import Moment
+
+CEILING: Final = "own demonstration"
+"""Method of a ceiling: the joint positions of the hand's own demonstration, searched in physics."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Trials of one hand in one task with one method, as work for one process.
+
+    Attributes:
+        task: name of the task.
+        hand: name of the right hand.
+        method: method as ``METHOD:PRESET``, or ``CEILING``.
+        worlds: world number and tracker of each trial; tracker "" for the ceiling.
+    """
+
+    task: str
+    hand: str
+    method: str
+    worlds: tuple[tuple[int, str], ...]
+
+    def cell(self, tracker: str) -> Cell:
+        """Cell of the trials with a tracker."""
+        return Cell(self.task, self.hand, self.method, tracker)
+
+
+def run_block(block: Block) -> dict[str, Row]:
+    """Does the trials of a block; returns a row for each tracker."""
+    rows = {tracker: Row() for _, tracker in block.worlds}
+    try:
+        hand = load_hand(block.hand, "right")
+        fixed_wrist.scene_of(block.task, block.hand)  # before the long work
+        trials = [judge(moments) for moments in play_block(hand, block)]
+    except SmoothOperatorError as error:  # the hand, its scene, or the method with this hand
+        return {tracker: Row(obstacle=str(error)) for tracker in rows}
+    for (world, tracker), trial in zip(block.worlds, trials, strict=True):
+        rows[tracker].trials[world] = trial
+    return rows
+
+
+def play_block(
+    hand: Hand, block: Block, watch: Watch = lambda physics: None
+) -> Iterator[Iterator[Moment]]:
+    """Yields the moments of each trial of a block, in its order.
+
+    Args:
+        watch: receives the physics of each trial before its first moment.
+    """
+    if block.method == CEILING:
+        for world, _ in block.worlds:
+            yield fixed_wrist.play_own(hand, block.task, world, watch)
+        return
+    demonstrations = [
+        fixed_wrist.record(block.task, world, tracker) for world, tracker in block.worlds
+    ]
+    config = method_of(block.method)
+    joints = {}
+    for chosen in dict.fromkeys(tracker for _, tracker in block.worlds):
+        places = [k for k, (_, tracker) in enumerate(block.worlds) if tracker == chosen]
+        retargeter = BatchRetargeter(hand, config=config, pinch_gaps=known_gaps(chosen))
+        # With one lane no work is wasted on lanes without a recording.
+        batch = retargeter.batch([demonstrations[k].recording for k in places], lanes=1)
+        for k, (commands, _) in zip(places, batch, strict=True):
+            joints[k] = commands.joint_positions
+    for k, demonstration in enumerate(demonstrations):
+        yield fixed_wrist.play(hand, demonstration, joints[k], watch)
+
+
+def judge(moments: Iterable[Moment]) -> Trial:
+    """Result of a trial, from its moments until it is done or its commands end."""
+    thumb = finger = both = False
+    mechanism = 0.0
+    for moment in moments:
+        presses = moment.state.force > PRESSES_N
+        thumb |= bool(presses[0])
+        finger |= bool(presses[1:].any())
+        both |= bool(presses[0] and presses[1:].any())
+        mechanism = max(mechanism, moment.state.mechanism)
+    run = moment.run
+    outcome = run.outcome or run.finish(moment.state.time).outcome
+    assert outcome is not None
+    contact = "b" if both else "s" if thumb and finger else "t" if thumb else "f" if finger else "n"
+    reason = re.sub(r"-?\d+(\.\d+)?", "#", f"{outcome.line}: {outcome.reason}")
+    return Trial(outcome.score, reason, outcome.ended[0], contact, outcome.seconds, mechanism)
+
+
+def method_of(name: str) -> MethodConfig:
+    """Configuration of a method, such as ``sbr:paper``."""
+    (choice,) = select_methods((name,))
+    return choice.config
