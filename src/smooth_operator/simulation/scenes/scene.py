@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import HandMount, Pose, hand_directions, pose_of, rigid
-from smooth_operator.simulation.arms.free_wrist import HandCarrier
+from smooth_operator.simulation.arms.free_wrist import FreeWrist, HandCarrier
 from smooth_operator.simulation.physics import FURNISHED
 
 
@@ -181,6 +181,10 @@ class Scene(ABC):
             shift: (3,) shift of the target from its nominal place [m].
         """
         return self
+
+    def free_wrist(self, hand: Hand) -> FreeWrist:
+        """Returns a free wrist that starts at the scene's mount."""
+        return FreeWrist(hand, self.mount.wrist_pose)
 
     def furnish(self, hand: mujoco.MjSpec, carried: HandCarrier | None = None) -> mujoco.MjSpec:
         """Build the world with the hand in it; see ``build_physics``.

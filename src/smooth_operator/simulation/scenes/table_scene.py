@@ -11,7 +11,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.free_wrist import FreeWrist
 from smooth_operator.simulation.scenes.scene import (
     PLATFORM,
     Mount,
@@ -59,10 +58,6 @@ class TableScene(Scene):
         )
         table = world.geom(PLATFORM)
         table.condim, table.friction = 6, (*_TABLE_FRICTION, _ROLLING)
-
-    def free_wrist(self, hand: Hand) -> FreeWrist:
-        """Returns a free wrist that starts at the scene's mount."""
-        return FreeWrist(hand, self.mount.wrist_pose)
 
 
 def grasp_centre(hand: Hand, gap: float = GRASP_GAP) -> Float[np.ndarray, "3"]:

@@ -1,0 +1,258 @@
+"""A scripted human who does a task with a moving wrist once per world, whatever the robot hand.
+
+The human has published anatomy and a hand of 190 mm, and sees the object but no robot. The hand
+closes along one synergy, from open to a pinch of all fingers with the thumb. It comes from above,
+closes until thumb and fingers would touch the object, and closes further, so that a robot hand that
+copies it presses. Then the wrist carries the object.
+
+Wrist path and synergy were tuned on ``mimic_p050``, ``wuji_hand`` and ``leap_hand`` with the method
+``smooth`` in worlds 1000 to 1019; other hands, methods and worlds had no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.errors import UnknownNameError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.landmarks import TIPS
+from smooth_operator.simulation.scenes import scene_for
+from smooth_operator.simulation.scenes.physics import ObjectVariation, draw_wrist_variation
+from smooth_operator.simulation.scenes.relocate import RelocateScene
+from smooth_operator.synthetic.gestures import pinch_postures
+from smooth_operator.synthetic.hand_anatomy import FREE, couple, draw_anatomy, pose_hand
+from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
+from smooth_operator.types import HandRecording
+from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
+
+HAND_LENGTH: Final = 0.19
+"""Length of the human's hand, from the wrist to the tip of the middle finger [m]."""
+
+SQUEEZE_M: Final = 0.015
+"""Depth below the object's surface to which thumb and fingers close, each [m]."""
+
+_PERSON: Final = 0  # seed of the anatomy
+_OPEN: Final = np.deg2rad(
+    [-16, 22, 0, 0, 4, 12, 14, 0, 12, 14, -4, 12, 14, -8, 12, 14]
+)  # free joint angles of the open hand
+_REST: Final = 0.75  # share of the way from thumb to fingers of the point that rests in a grip
+_STEPS: Final = 400  # postures of the synergy, between which is interpolated
+
+
+class Waypoint(NamedTuple):
+    """One step of a human's plan; the moves between steps are minimum-jerk.
+
+    Attributes:
+        seconds: duration of the move to this waypoint [s].
+        centre: (3,) place of the middle between thumb and fingers in the frame of the object at its
+            start [m].
+        turn: (4,) rotation of the wrist frame in that frame, wxyz.
+        gap: distance between thumb and fingers [m].
+    """
+
+    seconds: float
+    centre: Float[np.ndarray, "3"]
+    turn: Float[np.ndarray, "4"]
+    gap: float
+
+
+class Plan(NamedTuple):
+    """Waypoints of a human, from the start.
+
+    Attributes:
+        waypoints: the waypoints; the first one is the start, and its duration is a wait.
+        width: thickness of the object between thumb and fingers [m].
+    """
+
+    waypoints: Sequence[Waypoint]
+    width: float
+
+
+@dataclass(frozen=True, eq=False)
+class HumanDemonstration:
+    """What a tracker recorded of a human who did a task in a world.
+
+    Attributes:
+        task: name of the task.
+        world: number of the world.
+        variation: the world's object.
+        tracker: kind of tracker: ``glove``, ``headset`` or ``camera``.
+        times: (t,) times of the frames [s].
+        landmarks: (t, 21, 3) landmarks in the wrist frame [m].
+        wrist: (t, 7) pose of the wrist frame in the frame of the object at its start: position [m]
+            and quaternion wxyz.
+        touch: time at which thumb and fingers reach the object's surface [s].
+        centre: (3,) middle between thumb and fingers at that time, in the wrist frame [m].
+    """
+
+    task: str
+    world: int
+    variation: ObjectVariation
+    tracker: str
+    times: Float[np.ndarray, " t"]
+    landmarks: Float[np.ndarray, "t 21 3"]
+    wrist: Float[np.ndarray, "t 7"]
+    touch: float
+    centre: Float[np.ndarray, "3"]
+
+    @property
+    def recording(self) -> HandRecording:
+        """The landmarks as a recording, which every method takes."""
+        name = f"{self.task}-{self.world}-{self.tracker}"
+        return HandRecording(self.landmarks, self.times, name=name)
+
+
+def world_variation(world: int) -> ObjectVariation:
+    """Draws the object of a world: the same for every hand, method and tracker, and the same as in
+    the environment ``smooth_hand`` with that seed."""
+    return draw_wrist_variation(np.random.default_rng(world))
+
+
+def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
+    """Records a human who does a task once.
+
+    Args:
+        tracker: kind of tracker that sees the hand: ``glove``, ``headset`` or ``camera``.
+
+    Raises:
+        UnknownNameError: there is no such tracker, or no plan for such a task.
+    """
+    if task not in PLANS:
+        raise UnknownNameError("task with a plan", task, PLANS)
+    variation = world_variation(world)
+    plan = PLANS[task](variation.scene(_scene(task)))
+    ends = np.cumsum([waypoint.seconds for waypoint in plan.waypoints])
+    model = tracker_model(tracker, seed=world)
+    ticks = TrackerStream(model).next(int(ends[-1] * model.rate_hz))
+    moments = np.maximum(ticks.stamps - model.delay, 0.0)  # a frame shows the past
+    gaps, centres, turns = _moves(plan.waypoints, ends, moments)
+    synergy_gaps, synergy = _synergy()
+    indices = np.arange(float(_STEPS))
+    landmarks = _between(synergy, np.interp(gaps, synergy_gaps, indices))
+    touching = _between(synergy, np.interp([plan.width], synergy_gaps, indices))
+    centre = grip(touching[0])[0]
+    # Until the touch, the middle between thumb and fingers stays; then the fingers rest on their
+    # side of the object, and the thumb presses against them.
+    opening = _between(synergy, np.interp(np.maximum(gaps, plan.width), synergy_gaps, indices))
+    pressing = _between(synergy, np.interp(np.minimum(gaps, plan.width), synergy_gaps, indices))
+    ahead = _along(opening, 0.5) + _along(pressing, _REST) - _along(touching, _REST)
+    wrist = np.concatenate([centres - poses.rotate(turns, ahead), turns], axis=1)
+    touch = float(ticks.stamps[np.argmax(gaps <= plan.width)])
+    seen = ticks.arrives
+    return HumanDemonstration(
+        task,
+        world,
+        variation,
+        tracker,
+        ticks.stamps[seen],
+        ticks.shown(landmarks)[seen],
+        wrist[seen],
+        touch,
+        centre,
+    )
+
+
+def _along(landmarks: Float[np.ndarray, "t 21 3"], share: float) -> Float[np.ndarray, "t 3"]:
+    """Points (t, 3) on the way from the thumb's tip to those of the fingers [m]."""
+    thumb, fingers = landmarks[:, TIPS[0]], landmarks[:, list(TIPS[1:3])].mean(axis=1)
+    return np.asarray(thumb + share * (fingers - thumb))
+
+
+def grip(landmarks: Float[np.ndarray, "21 3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Returns the (3,) middle between the tip of the thumb and those of index and middle finger
+    [m], and their distance [m]."""
+    thumb, fingers = landmarks[TIPS[0]], landmarks[list(TIPS[1:3])].mean(axis=0)
+    return (thumb + fingers) / 2, float(np.linalg.norm(fingers - thumb))
+
+
+@lru_cache
+def _scene(task: str) -> Any:
+    """Scene of a task; the places of object and target do not depend on the hand."""
+    return scene_for(task, load_hand(DEFAULT_HAND))
+
+
+@lru_cache
+def _synergy() -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
+    """Gaps, increasing [m], and landmarks in the wrist frame [m] of the closing hand."""
+    pinches = pinch_postures(_PERSON)
+    closed = pinches[1].copy()
+    closed[:4] = pinches[:2, :4].mean(axis=0)  # the thumb meets index and middle finger
+    closed[4::3] = 0.0
+    closed[5::3], closed[6::3] = pinches[1, 8], pinches[1, 9]
+    share = np.linspace(0.93, 0.0, _STEPS)[:, None]
+    free = _OPEN + share * (closed - _OPEN)
+    assert free.shape[1] == len(FREE)
+    points = pose_hand(draw_anatomy(HAND_LENGTH, _PERSON), couple(free)).landmarks
+    landmarks = np.stack([points[..., 2], points[..., 1], -points[..., 0]], axis=-1)
+    return np.array([grip(one)[1] for one in landmarks]), landmarks
+
+
+def _between(rows: Float[np.ndarray, "s 21 3"], at: Float[np.ndarray, " t"]) -> np.ndarray:
+    low = np.minimum(at.astype(int), len(rows) - 2)
+    part = (at - low)[:, None, None]
+    return np.asarray((1 - part) * rows[low] + part * rows[low + 1])
+
+
+def _moves(
+    waypoints: Sequence[Waypoint], ends: Float[np.ndarray, " w"], times: Float[np.ndarray, " t"]
+) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 3"], Float[np.ndarray, "t 4"]]:
+    """Gaps, centres and turns at each time, with minimum-jerk moves between the waypoints."""
+    after = np.minimum(np.searchsorted(ends, times), len(waypoints) - 1)
+    before = np.maximum(after - 1, 0)
+    seconds = np.array([waypoint.seconds for waypoint in waypoints])
+    u = np.clip(1.0 - (ends[after] - times) / seconds[after], 0.0, 1.0)
+    u = (u**3 * (10 - 15 * u + 6 * u**2))[:, None]
+    values = np.array([[*one.centre, one.gap] for one in waypoints])
+    moved = values[before] + u * (values[after] - values[before])
+    turns = np.array([one.turn for one in waypoints])
+    vectors = poses.rotation_vectors(poses.multiply(turns[after], poses.conjugate(turns[before])))
+    turned = poses.multiply(poses.from_rotation_vectors(u * vectors), turns[before])
+    return moved[:, 3], moved[:, :3], turned
+
+
+def pitched(angle: float) -> Float[np.ndarray, "4"]:
+    """Returns the (4,) rotation wxyz of a wrist frame with the palm down, and the fingers forward
+    and down by an angle [rad]."""
+    return poses.from_rotation_vectors(np.array([0.0, angle, 0.0]))
+
+
+_WIDTHS: Final = {"ball": 0.070, "cylinder": 0.050, "cube": 0.040}
+_LIFT: Final = {"ball": 0.0, "cylinder": 0.015, "cube": 0.0}  # grip above the object's centre [m]
+_PITCH: Final = np.radians(25.0)
+_WIDE: Final = 0.045  # opening beyond the object's width [m]
+_ABOVE: Final = 0.08  # height from which the hand goes down [m]
+
+
+def relocate_plan(scene: RelocateScene) -> Plan:
+    """Plan for ``relocate``: from above, close, lift, carry to the mark, and stay."""
+    width = _WIDTHS[scene.shape] * scene.scale
+    up = np.array([0.0, 0.0, 1.0])
+    turn = pitched(_PITCH)
+    grasp = _LIFT[scene.shape] * up
+    start = np.concatenate(scene.start)
+    there = poses.rotate(poses.conjugate(start[3:]), scene.target - start[:3]) + grasp
+    wide, tight = min(width + _WIDE, 0.115), width - 2 * SQUEEZE_M
+    return Plan(
+        (
+            Waypoint(0.5, grasp + 0.16 * up, turn, wide),
+            Waypoint(1.2, grasp + _ABOVE * up, turn, wide),
+            Waypoint(1.0, grasp, turn, wide),
+            Waypoint(1.2, grasp, turn, tight),
+            Waypoint(0.3, grasp, turn, tight),
+            Waypoint(1.0, grasp + 0.10 * up, turn, tight),
+            Waypoint(1.5, there, turn, tight),
+            Waypoint(2.0, there, turn, tight),
+        ),
+        width,
+    )
+
+
+PLANS: Final[dict[str, Callable[[Any], Plan]]] = {"relocate": relocate_plan}
+"""Task -> plan of the human in a scene."""
