@@ -25,6 +25,7 @@ from smooth_operator.simulation.arms.free_wrist import HandCarrier
 from smooth_operator.simulation.physics import FURNISHED, HandPhysics, finger_bodies
 from smooth_operator.simulation.scenes.scene import (
     OBJECT,
+    PLATFORM,
     Scene,
     ScenePart,
     SceneState,
@@ -55,15 +56,16 @@ _HARDEST: Final = 0.9995  # highest impedance: an object below 1 g
 
 
 def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None:
-    """Set the contact parameters of an object's shapes to those of soft pads.
+    """Set the contact parameters of the shapes of an object and its moving parts to those of soft
+    pads.
 
     Args:
         model: the scene; it is changed.
     """
     tips = float(np.median(model.body_invweight0[fingertips, 0]))
-    low, high = pad_impedance(float(model.body_invweight0[body, 0]) + tips)
-    first = int(model.body_geomadr[body])
-    for geom in range(first, first + int(model.body_geomnum[body])):
+    for geom in np.flatnonzero(model.body_rootid[model.geom_bodyid] == body):
+        part = model.geom_bodyid[geom]
+        low, high = pad_impedance(float(model.body_invweight0[part, 0]) + tips)
         model.geom_solref[geom] = TIME_CONSTANT, 1.0
         model.geom_solimp[geom] = low, high, PRESSED_DEPTH, 0.5, 1.0
 
@@ -153,7 +155,7 @@ def _owners(hand: Hand, model: mujoco.MjModel) -> Int[np.ndarray, " g"]:
     fingers, owners = finger_bodies(hand, model), np.full(model.ngeom, _REST)
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
-        if model.body(body).name == OBJECT:
+        if model.body(model.body_rootid[body]).name == OBJECT:
             owners[geom] = _OBJECT
         elif model.body(body).name.startswith(FURNISHED):
             owners[geom] = _PALM if fingers[body] < 0 else fingers[body]
@@ -287,23 +289,29 @@ class ScenePhysics(HandPhysics):
         )
 
     def parts(self) -> list[ScenePart]:
-        """Returns the shapes of the platform and of the object, for drawing."""
-        model, parts = self.model, []
+        """Returns the shapes of the platform and of the object, as they are now, for drawing."""
+        model, data, parts = self.model, self._data, []
+        own = data.xpos[self._body], data.xmat[self._body].reshape(3, 3)
         for geom in range(model.ngeom):
-            body = int(model.geom_bodyid[geom])
+            root = int(model.body_rootid[model.geom_bodyid[geom]])
             kind = _KINDS.get(int(model.geom_type[geom]))
-            if kind is None or body not in (0, self._body):
+            platform = not root or model.body(root).name.startswith(PLATFORM)
+            if kind is None or not (platform or root == self._body):
                 continue
             word, count = kind
+            at, turn = (np.zeros(3), np.eye(3)) if platform else own
+            quaternion = np.zeros(4)
+            relative = turn.T @ data.geom_xmat[geom].reshape(3, 3)
+            mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(relative).ravel())
             parts.append(
                 ScenePart(
                     model.geom(geom).name or f"part{geom}",
                     word,
                     tuple(float(s) for s in model.geom_size[geom][:count]),
                     tuple(float(c) for c in model.geom_rgba[geom]),  # type: ignore[arg-type]
-                    model.geom_pos[geom].copy(),
-                    model.geom_quat[geom].copy(),
-                    body == self._body,
+                    turn.T @ (data.geom_xpos[geom] - at),
+                    quaternion,
+                    not platform,
                 )
             )
         return parts
@@ -324,6 +332,8 @@ class ScenePhysics(HandPhysics):
     def _put(self) -> None:
         self._data.qpos[self._at : self._at + 7] = np.concatenate(self.scene.start)
         self._data.qvel[self._moves : self._moves + 6] = 0.0
+        if self._mechanism is not None:
+            self._data.qpos[self._mechanism] = self.model.qpos0[self._mechanism]
 
     def _try_to_place(self) -> None:
         if self._away:
@@ -435,11 +445,10 @@ class ObjectVariation:
     def prepare(self, physics: ScenePhysics) -> None:
         """Set friction and mass of the object; call it once, before a trial."""
         model = physics.model
-        body = model.body(OBJECT).id
-        own = np.flatnonzero(np.asarray(model.geom_bodyid) == body)
-        model.geom_friction[own, :2] *= self.friction
-        model.body_mass[body] *= self.mass
-        model.body_inertia[body] *= self.mass
+        own = model.body_rootid == model.body(OBJECT).id
+        model.geom_friction[own[model.geom_bodyid], :2] *= self.friction
+        model.body_mass[own] *= self.mass
+        model.body_inertia[own] *= self.mass
         # mj_setConst derives values from masses. It also clears the collision masks of the bodies,
         # which an object that still waits for the hand needs later.
         touches = [np.array(one) for one in (model.body_contype, model.body_conaffinity)]

@@ -266,6 +266,7 @@ def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
     world.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     world.option.impratio = 10.0
     world.option.noslip_iterations = 4  # else soft friction lets an object creep out of the fingers
+    world.compiler.degree = False
     for name in ("fusestatic", "balanceinertia", "boundmass", "boundinertia"):
         setattr(world.compiler, name, getattr(hand.compiler, name))
     world.visual.global_.offwidth, world.visual.global_.offheight = _WIDTH, _HEIGHT
@@ -312,7 +313,7 @@ class SceneState:
         fixed: True while the fixture holds the object.
         starts: number of times that the object was put to its start.
         away: True while there is no object, as in free movement; ``position`` is then its start.
-        mechanism: position of the scene's moving part [m]; 0 without one.
+        mechanism: position of the scene's moving part [m or rad]; 0 without one.
     """
 
     time: float

@@ -22,6 +22,7 @@ from smooth_operator.simulation.scenes.scene import (
     opposition,
     reachable,
 )
+from smooth_operator.simulation.scenes.tools import hammer_scene, tongs_scene
 
 CARD: Final = (0.054, 0.0856, 0.002)
 """Size of the card [m]: area of a bank card, but thicker, since fingers press from both sides."""
@@ -301,6 +302,8 @@ SCENES: Final[dict[str, Callable[[Hand], Scene]]] = {
     "cube": cube_scene,
     "screwdriver": screwdriver_scene,
     "relocate": relocate_scene,
+    "hammer": hammer_scene,
+    "tongs": tongs_scene,
 }
 """Name of the task -> function that builds the scene for a hand."""
 

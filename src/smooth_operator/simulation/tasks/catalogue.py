@@ -21,6 +21,7 @@ from smooth_operator.simulation.tasks.task import (
     SimulatedTask,
     Task,
 )
+from smooth_operator.simulation.tasks.tools import HAMMER, TONGS, HammerScorer, TongsScorer
 
 
 def _simulated(
@@ -42,6 +43,8 @@ TASKS: Final[dict[str, SimulatedTask]] = {
         _simulated("cube", CUBE_ROTATION, 120.0, CubeScorer, ("misaligned", "misaligned")),
         _simulated("screwdriver", SCREWDRIVER_PIVOT, 60.0, ScrewdriverScorer),
         _simulated("relocate", RELOCATE, 15.0, RelocateScorer, moves_wrist=True),
+        _simulated("hammer", HAMMER, 20.0, HammerScorer, moves_wrist=True),
+        _simulated("tongs", TONGS, 20.0, TongsScorer, moves_wrist=True),
     )
 }
 """Name -> task."""
