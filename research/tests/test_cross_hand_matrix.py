@@ -9,7 +9,7 @@ import pytest
 from smooth_operator import load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, DocumentError, HandModelError, UnknownNameError
-from smooth_operator_research.cross_hand import fixed_wrist, matrix, tables
+from smooth_operator_research.cross_hand import fixed_wrist, matrix, tables, trials
 from smooth_operator_research.cross_hand.matrix import MatrixSettings, run_matrix, tracker_of
 from smooth_operator_research.cross_hand.results import Cell, MatrixResults, Row, Trial
 from smooth_operator_research.cross_hand.tables import Outcomes
@@ -92,9 +92,9 @@ def test_a_hand_whose_scene_can_not_be_built_is_no_failure(monkeypatch, tmp_path
     path = tmp_path / "matrix.jsonl"
 
     def too_small(task, hand):
-        raise HandModelError(f"hand {hand!r} is too small")
+        raise HandModelError(f"hand {hand.name!r} is too small")
 
-    monkeypatch.setattr(fixed_wrist, "scene_of", too_small)
+    monkeypatch.setattr(trials, "scene_of", too_small)
     run_matrix(replace(TINY, methods=("smooth",), worlds=2), path)
     monkeypatch.undo()
     results = MatrixResults(path)

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.scenes import Scene, ScenePhysics, SceneState, scene_for
+from smooth_operator.simulation.scenes import ScenePhysics, SceneState
 from smooth_operator.simulation.tasks import task_named
 from smooth_operator.synthetic.tracker import TrackerStream
 from smooth_operator.types import HandRecording
+from smooth_operator_research.cross_hand.scenes import scene_of
 from smooth_operator_research.demonstrations.demonstration import (
     DemonstrationLandmarks,
     load_demonstration,
@@ -80,13 +80,6 @@ def _landmarks(task: str, tracker: str) -> DemonstrationLandmarks:
     return DemonstrationLandmarks(load_demonstration(task, tracker=tracker))
 
 
-@lru_cache
-def scene_of(task: str, hand: str) -> Scene:
-    """Scene of a task around a right hand, cached; HandModelError if the hand's size does not allow
-    it."""
-    return scene_for(task, load_hand(hand, "right"))
-
-
 def play(
     hand: Hand,
     demonstration: FixedWristDemonstration,
@@ -132,7 +125,7 @@ def play_own(
 def _perform(
     hand: Hand, task: str, world: Perturbation, commands: Commands, watch: Watch, seconds: float
 ) -> Iterator[Moment]:
-    physics = ScenePhysics(hand, world.scene(scene_of(task, hand.name)))
+    physics = ScenePhysics(hand, world.scene(scene_of(task, hand)))
     world.prepare(physics)
     watch(physics)
     yield from perform(physics, task_named(task), commands, seconds=seconds)

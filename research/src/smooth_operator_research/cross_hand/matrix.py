@@ -23,6 +23,7 @@ from smooth_operator.simulation.tasks import TASKS as SIMULATED_TASKS
 from smooth_operator.source_digest import HOME
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.code import research_digest
+from smooth_operator_research.cross_hand.human import PLANS
 from smooth_operator_research.cross_hand.results import Cell, MatrixResults
 from smooth_operator_research.cross_hand.trials import CEILING, Block, method_of, run_block
 from smooth_operator_research.demonstrations.demonstration import (
@@ -30,7 +31,7 @@ from smooth_operator_research.demonstrations.demonstration import (
     demonstrated_hands,
 )
 
-TASKS: Final = FIXED_WRIST
+TASKS: Final = (*FIXED_WRIST, *PLANS)
 """Tasks of the matrix."""
 
 HANDS: Final = (
@@ -112,7 +113,8 @@ def plan_blocks(settings: MatrixSettings, results: MatrixResults) -> list[Block]
     for hand in settings.hands:
         for method in (CEILING, *settings.methods):
             for task in settings.tasks:
-                if method == CEILING and hand not in demonstrated_hands(task):
+                demonstrated = demonstrated_hands(task) if task in FIXED_WRIST else ()
+                if method == CEILING and hand not in demonstrated:
                     continue
                 todo = []
                 for tracker in [""] if method == CEILING else dict.fromkeys(settings.trackers):
@@ -177,6 +179,13 @@ _TRIAL_CODE: Final = (
 )
 """Files of every trial, here or in ``smooth_operator``."""
 
+_MOVING_WRIST_CODE: Final = (
+    *("cross_hand/human.py", "cross_hand/replay.py", "simulation/scenes/table_scene.py"),
+    *("simulation/arms/free_wrist.py", "simulation/arms/arm.py"),
+    *("synthetic/gestures.py", "synthetic/hand_anatomy.py"),
+)
+"""Files of a trial with a moving wrist, besides those of every trial."""
+
 
 @cache
 def trial_code(task: str, hand: str, method: str) -> str:
@@ -187,6 +196,8 @@ def trial_code(task: str, hand: str, method: str) -> str:
     Versions of libraries are not in it either, so that another machine can continue a file.
     """
     names = {*_TRIAL_CODE, _file_of(SCENES[task]), _file_of(SIMULATED_TASKS[task].scorer)}
+    if task not in FIXED_WRIST:
+        names |= set(_MOVING_WRIST_CODE)
     names |= {f"hands/{path.name}" for path in (HOME / "hands").glob("*.py")}
     names.add(f"demonstrations/data/{hand if method == CEILING else DEFAULT_HAND}")
     config = None if method == CEILING else method_of(method)

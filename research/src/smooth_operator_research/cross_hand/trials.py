@@ -14,10 +14,13 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.simulation.tasks.task import PRESSES_N
-from smooth_operator_research.cross_hand import fixed_wrist
-from smooth_operator_research.cross_hand.fixed_wrist import Watch
+from smooth_operator_research.cross_hand import fixed_wrist, human, replay
+from smooth_operator_research.cross_hand.fixed_wrist import FixedWristDemonstration, Watch
+from smooth_operator_research.cross_hand.human import HumanDemonstration
 from smooth_operator_research.cross_hand.results import Cell, Row, Trial
+from smooth_operator_research.cross_hand.scenes import scene_of
 from smooth_operator_research.demonstrations.trial_loop import Moment
 
 CEILING: Final = "own demonstration"
@@ -50,7 +53,7 @@ def run_block(block: Block) -> dict[str, Row]:
     rows = {tracker: Row() for _, tracker in block.worlds}
     try:
         hand = load_hand(block.hand, "right")
-        fixed_wrist.scene_of(block.task, block.hand)  # before the long work
+        scene_of(block.task, hand)  # before the long work
         trials = [judge(moments) for moments in play_block(hand, block)]
     except SmoothOperatorError as error:  # the hand, its scene, or the method with this hand
         return {tracker: Row(obstacle=str(error)) for tracker in rows}
@@ -71,9 +74,7 @@ def play_block(
         for world, _ in block.worlds:
             yield fixed_wrist.play_own(hand, block.task, world, watch)
         return
-    demonstrations = [
-        fixed_wrist.record(block.task, world, tracker) for world, tracker in block.worlds
-    ]
+    demonstrations = [_record(block.task, *world) for world in block.worlds]
     config = method_of(block.method)
     joints = {}
     for chosen in dict.fromkeys(tracker for _, tracker in block.worlds):
@@ -84,7 +85,16 @@ def play_block(
         for k, (commands, _) in zip(places, batch, strict=True):
             joints[k] = commands.joint_positions
     for k, demonstration in enumerate(demonstrations):
-        yield fixed_wrist.play(hand, demonstration, joints[k], watch)
+        if isinstance(demonstration, HumanDemonstration):
+            yield replay.play(hand, demonstration, joints[k], watch)
+        else:
+            yield fixed_wrist.play(hand, demonstration, joints[k], watch)
+
+
+def _record(task: str, world: int, tracker: str) -> HumanDemonstration | FixedWristDemonstration:
+    """What a tracker records of the human of a world."""
+    record = fixed_wrist.record if task in FIXED_WRIST else human.record
+    return record(task, world, tracker)
 
 
 def judge(moments: Iterable[Moment]) -> Trial:
