@@ -11,9 +11,10 @@ from jaxtyping import Float
 from smooth_operator import poses
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import HandMount
-from smooth_operator.simulation.scenes import Scene, ScenePhysics, SceneState, scene_for
+from smooth_operator.simulation.scenes import Scene, ScenePhysics, SceneState
 from smooth_operator.simulation.tasks import Outcome, task_named
 from smooth_operator_research.cross_hand.human import HumanDemonstration
+from smooth_operator_research.cross_hand.scenes import scene_of
 from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, Moment, perform
 
 STAYS_S: Final = 1.0
@@ -69,7 +70,7 @@ def play(
         the moments of the trial.
     """
     task = task_named(demonstration.task)
-    scene = demonstration.variation.scene(scene_for(demonstration.task, hand))
+    scene = demonstration.variation.scene(scene_of(demonstration.task, hand))
     wrist = scene.free_wrist(hand)
     physics = ScenePhysics(hand, scene, carried=wrist)
     demonstration.variation.prepare(physics)
