@@ -12,6 +12,7 @@ from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.simulation.scenes import ScenePhysics
 from smooth_operator.simulation.scenes.scene import OBJECT
+from smooth_operator.simulation.tasks import TASKS
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
 
@@ -40,6 +41,7 @@ def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
         ("mimic_p050", "right", "card"),
         ("shadow_hand", "left", "cube"),
         ("leap_hand", "right", "screwdriver"),
+        ("leap_hand", "right", "relocate"),
     ],
 )
 def test_each_task_is_an_environment_by_gymnasiums_own_check(make, hand, side, task):
@@ -47,7 +49,8 @@ def test_each_task_is_an_environment_by_gymnasiums_own_check(make, hand, side, t
 
     check_env(make(hand=hand, side=side, task=task), skip_render_check=True)
     made = gymnasium.make(f"smooth_hand/{task}", hand=hand, side=side)
-    assert made.action_space.shape == (len(load_hand(hand).actuated),)
+    wrist = 6 if TASKS[task].moves_wrist else 0
+    assert made.action_space.shape == (len(load_hand(hand).actuated) + wrist,)
     made.close()
 
 
@@ -77,6 +80,23 @@ def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make):
     for _ in range(25):
         seen, *_ = environment.step(hand.neutral.astype(np.float32))
     np.testing.assert_allclose(seen["agent_pos"], hand.neutral, atol=0.1)
+
+
+def test_a_moving_wrist_goes_where_the_action_says_within_its_speed(make):
+    environment = make(task="relocate", hand="leap_hand")
+    seen, _ = environment.reset(seed=0)
+    assert seen["environment_state"].shape == (11,)
+    np.testing.assert_allclose(seen["environment_state"][7:10], environment._physics.scene.target)
+    np.testing.assert_allclose(seen["agent_pos"][-6:], 0.0, atol=1e-3)
+    action = np.concatenate([environment.hand.neutral, [0.1, 0.0, 0.05, 0.3, -0.2, 0.1]])
+    first, *_ = environment.step(action)
+    assert 0.0 < np.linalg.norm(first["agent_pos"][-6:-3]) < 0.5 / 25
+    for _ in range(30):
+        seen, *_ = environment.step(action)
+    np.testing.assert_allclose(seen["agent_pos"][-6:], action[-6:], atol=2e-3)
+    action[-6:] = np.nan  # the wrist stays
+    seen, *_ = environment.step(action)
+    np.testing.assert_allclose(seen["agent_pos"][-6:-3], [0.1, 0.0, 0.05], atol=2e-3)
 
 
 def test_fingers_that_close_feel_a_force(make):
@@ -191,7 +211,7 @@ def test_env_hub_loads_the_tasks_from_a_repository(tmp_path, monkeypatch):
         "me/smooth_hand", n_envs=2, hub_cache_dir=str(tmp_path), trust_remote_code=True
     )["smooth_hand"]
     tasks = [each.call("task") for each in made.values()]
-    assert tasks == [(name, name) for name in ("card", "cube", "screwdriver")]
+    assert tasks == [(name, name) for name in TASKS]
     seen, _ = made[0].reset(seed=0)
     assert seen["agent_pos"].shape == (2, len(load_hand("mimic_p050").actuated))
     for each in made.values():

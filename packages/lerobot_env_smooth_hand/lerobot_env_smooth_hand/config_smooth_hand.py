@@ -9,9 +9,9 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGE, OBS_STATE, OBS_STR
 
-from lerobot_env_smooth_hand.environment import OBJECT_NAMES
+from lerobot_env_smooth_hand.environment import WRIST_NAMES, state_names
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.tasks import FIXED_WRIST
+from smooth_operator.simulation.tasks import TASKS, task_named
 from smooth_operator.types import as_side
 
 
@@ -21,7 +21,7 @@ class SmoothHandEnv(EnvConfig):
     """Settings of the environment; see ``HandTask`` for their meaning.
 
     Attributes:
-        task: ``card``, ``cube`` or ``screwdriver``.
+        task: name of the task, such as ``card`` or ``relocate``.
         fps: steps per second, equal to the frame rate of the policy's training data [Hz].
         hand: name of the robot hand, or the path of its spec file.
         side: ``right`` or ``left``.
@@ -64,14 +64,17 @@ class SmoothHandEnv(EnvConfig):
         """Fill in the features from the hand.
 
         Raises:
-            SmoothOperatorError: there is no such hand.
+            SmoothOperatorError: there is no such hand or task.
         """
+        task = task_named(self.task or "card")
         hand = load_hand(self.hand, as_side(self.side))
-        joints = (len(hand.actuated),)
+        joints = (len(hand.actuated) + (len(WRIST_NAMES) if task.moves_wrist else 0),)
         self.features = {
             ACTION: PolicyFeature(type=FeatureType.ACTION, shape=joints),
             "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=joints),
-            "environment_state": PolicyFeature(type=FeatureType.ENV, shape=(len(OBJECT_NAMES),)),
+            "environment_state": PolicyFeature(
+                type=FeatureType.ENV, shape=(len(state_names(task)),)
+            ),
         }
         if self.tactile:
             fingers = (len(hand.fingers),)
@@ -119,8 +122,8 @@ def make_env(
         cfg: settings of the only task; None for the defaults of all tasks.
 
     Returns:
-        ``smooth_hand`` -> number of the task, in the order card, cube, screwdriver -> environment.
+        ``smooth_hand`` -> number of the task, in the order of ``TASKS`` -> environment.
     """
-    configs = [SmoothHandEnv(task=name) for name in FIXED_WRIST] if cfg is None else [cfg]
+    configs = [SmoothHandEnv(task=name) for name in TASKS] if cfg is None else [cfg]
     environments = [each.create_envs(n_envs, use_async_envs)["smooth_hand"][0] for each in configs]
     return {"smooth_hand": dict(enumerate(environments))}

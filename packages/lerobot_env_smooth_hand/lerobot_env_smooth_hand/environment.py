@@ -1,4 +1,4 @@
-"""Gymnasium environment in which a simulated robot hand performs one of the study's tasks."""
+"""Gymnasium environment in which a simulated robot hand performs one of the simulated tasks."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from smooth_operator import poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.simulation.arms.free_wrist import FreeWrist
 from smooth_operator.simulation.camera import SimulatedCamera
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.scenes.physics import draw_variation
+from smooth_operator.simulation.scenes.physics import draw_variation, draw_wrist_variation
 from smooth_operator.simulation.scenes.scene import OBJECT_POSE, object_pose
-from smooth_operator.simulation.tasks import FIXED_WRIST, Phase, TaskRun, task_named
+from smooth_operator.simulation.scenes.table_scene import TableScene
+from smooth_operator.simulation.tasks import TASKS, Phase, SimulatedTask, TaskRun, task_named
 from smooth_operator.types import as_side
 
 LOOKS_HZ: Final = 100.0
@@ -29,25 +32,38 @@ OBJECT_NAMES: Final = tuple(f"environment.{name}" for name in OBJECT_POSE)
 """Names of the environment's state, as the robot ``smooth_hand`` records it: position [m] and
 quaternion of the object in the world."""
 
+WRIST_NAMES: Final = tuple(f"wrist.{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
+"""Names of the numbers for the wrist in actions and in ``agent_pos``: position [m] and rotation
+vector [rad], relative to the wrist frame at the start."""
+
+GOAL_NAMES: Final = ("target.x", "target.y", "target.z", "mechanism.pos")
+"""Further names of the environment's state in tasks with a moving wrist [m]."""
+
+_REACH_M: Final = 1.0  # limit of each coordinate of the wrist in an action [m]
+
 Observation = dict[str, Any]
 
 
 class HandTask(gymnasium.Env[Observation, np.ndarray]):
-    """Environment for a task of the study: slide and pinch a card, turn a cube, pivot a
-    screwdriver.
+    """Environment for a task of the study (slide and pinch a card, turn a cube, pivot a
+    screwdriver) or for a task with a moving wrist.
 
     The observation contains ``agent_pos``, the (m,) measured positions of the actuated joints
     [rad]; ``environment_state``, the (7,) position [m] and quaternion wxyz of the object in the
     world; and, if requested, ``tactile``, the (f,) normal force on each finger, thumb first [N],
     and the picture ``pixels``. An action consists of the (m,) targets of the same joints [rad];
-    they are clipped to the joints' limits. The reward is the score of the trial, 0, 0.5 or 1, in
+    they are clipped to the joints' limits. In a task with a moving wrist, ``agent_pos`` and actions
+    go on with six numbers for the wrist: position [m] and rotation vector [rad], relative to the
+    wrist frame at the start (x to the middle finger's base, z out of the back); it moves at most
+    0.5 m/s and 2 rad/s. ``environment_state`` then goes on with the (3,) target [m] and the
+    position of the scene's moving part [m]. The reward is the score of the trial, 0, 0.5 or 1, in
     the last step of an episode; ``info["is_success"]`` is true for a score of 1.
 
     The object's start, friction and mass differ in each episode, as in the benchmark's worlds;
     ``reset`` with a seed repeats an episode.
 
     Args:
-        task: ``card``, ``cube`` or ``screwdriver``.
+        task: name of the task.
         hand: name of the robot hand, or the path of its spec file.
         side: ``right`` or ``left``.
         fps: steps per second [Hz].
@@ -101,6 +117,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         self._max_episode_steps = max(1, math.ceil(limit * fps - 1e-6))
         self._tactile, self._pictures, self._size = tactile, pictures, (width, height)
         low, high = self.hand.limits.T
+        wrist = np.repeat([_REACH_M, np.pi], 3) if self.simulated_task.moves_wrist else np.zeros(0)
         joints = len(self.hand.actuated)
         self._start = self.hand.neutral if start is None else np.asarray(start, float)
         if self._start.shape != (joints,) or not np.isfinite(self._start).all():
@@ -109,8 +126,10 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
                 f"{', '.join(self.hand.actuated_names)}"
             )
         parts: dict[str, spaces.Space[Any]] = {
-            "agent_pos": spaces.Box(-np.inf, np.inf, (joints,), np.float32),
-            "environment_state": spaces.Box(-np.inf, np.inf, (len(OBJECT_NAMES),), np.float32),
+            "agent_pos": spaces.Box(-np.inf, np.inf, (joints + len(wrist),), np.float32),
+            "environment_state": spaces.Box(
+                -np.inf, np.inf, (len(state_names(self.simulated_task)),), np.float32
+            ),
         }
         if tactile:
             forces = (len(self.hand.fingers),)
@@ -118,7 +137,12 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         if pictures:
             parts["pixels"] = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.observation_space = spaces.Dict(parts)
-        self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        self.action_space = spaces.Box(
+            np.concatenate([low, -wrist]).astype(np.float32),
+            np.concatenate([high, wrist]).astype(np.float32),
+        )
+        self._wrist = self._scene.free_wrist(self.hand) if len(wrist) else None
+        self._wrist_action, self._wrist_target = np.zeros(6), np.zeros(6)
         self._camera: SimulatedCamera | None = None
         self._physics: ScenePhysics | None = None
         self._run: TaskRun | None = None
@@ -131,9 +155,12 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         start."""
         super().reset(seed=seed)
         del options
-        world = draw_variation(self.np_random, self._variation)
+        moves = self.simulated_task.moves_wrist
+        draw = draw_wrist_variation if moves else draw_variation
+        world = draw(self.np_random, self._variation)
         self._close_camera()
-        physics = ScenePhysics(self.hand, world.scene(self._scene))
+        physics = ScenePhysics(self.hand, world.scene(self._scene), carried=self._wrist)
+        self._wrist_action, self._wrist_target = np.zeros(6), np.zeros(6)
         world.prepare(physics)
         physics.command(self.hand.full_configuration(self._start))
         physics.put_away()
@@ -147,18 +174,26 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         """Set targets of the actuated joints, and simulate one period.
 
         Args:
-            action: (m,) targets [rad]; a joint whose value is not finite keeps its previous target.
+            action: (m,) targets [rad], and the (6,) pose of the wrist in tasks that move it. A
+                value that is not finite leaves its previous target.
 
         Raises:
-                gymnasium.error.ResetNeeded: the episode is over, or no episode has begun.
+            gymnasium.error.ResetNeeded: the episode is over, or no episode has begun.
         """
         physics, run = self._physics, self._run
         if physics is None or run is None or run.phase is not Phase.RUNNING:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        physics.command(self.hand.full_configuration(np.asarray(action, float)))
+        action = np.asarray(action, float)
+        joints = len(self.hand.actuated)
+        physics.command(self.hand.full_configuration(action[:joints]))
+        if self._wrist is not None:
+            wrist = action[joints:]
+            self._wrist_action = np.where(np.isfinite(wrist), wrist, self._wrist_action)
         looks = math.ceil(LOOKS_HZ / self._fps)
         resets = physics.resets
         for _ in range(looks):
+            if self._wrist is not None:
+                self._move_wrist(physics, self._wrist, 1.0 / (self._fps * looks))
             physics.advance(1.0 / (self._fps * looks))
             run = run.observe(physics.observe())
         self._steps += 1
@@ -184,14 +219,28 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         """Free the OpenGL context."""
         self._close_camera()
 
+    def _move_wrist(self, physics: ScenePhysics, wrist: FreeWrist, seconds: float) -> None:
+        """Move the wrist's target towards that of the action, within its speed."""
+        turn = poses.from_rotation_vectors(self._wrist_action[3:])
+        pose = poses.compose(wrist.start, np.concatenate([self._wrist_action[:3], turn]))
+        self._wrist_target = wrist.targets(pose, self._wrist_target, seconds)
+        physics.command_arm(self._wrist_target)
+
     def _observation(self, physics: ScenePhysics) -> Observation:
         state = physics.observe()
         measured = physics.positions[list(self.hand.actuated)]
+        around = object_pose(state.position, state.quaternion, self._scene.start[1])
+        if self._wrist is not None:
+            at, scene = physics.arm_positions, physics.scene
+            assert at is not None  # the wrist carries the hand
+            assert isinstance(scene, TableScene)
+            moved = poses.relative(self._wrist.start, self._wrist.pose(at))
+            measured = np.concatenate([measured, moved[:3], poses.rotation_vectors(moved[3:])])
+            goal = [*scene.target, state.mechanism]
+            around = np.concatenate([around, goal]).astype(np.float32)
         observation: Observation = {
             "agent_pos": measured.astype(np.float32),
-            "environment_state": object_pose(
-                state.position, state.quaternion, self._scene.start[1]
-            ),
+            "environment_state": around,
         }
         if self._tactile:
             observation["tactile"] = physics.finger_forces.astype(np.float32)
@@ -210,9 +259,14 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
             camera.close()
 
 
+def state_names(task: SimulatedTask) -> tuple[str, ...]:
+    """Returns the names of the numbers in ``environment_state`` of a task."""
+    return OBJECT_NAMES + (GOAL_NAMES if task.moves_wrist else ())
+
+
 def register() -> None:
     """Register the tasks for ``gymnasium.make``; a second call changes nothing."""
-    for name in FIXED_WRIST:
+    for name in TASKS:
         if f"smooth_hand/{name}" not in gymnasium.registry:
             gymnasium.register(
                 f"smooth_hand/{name}",
