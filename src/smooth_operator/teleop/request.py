@@ -35,9 +35,9 @@ class TeleopRequest(MethodRequest):
     address of an MJPEG stream, or mujoco, which looks at the simulated hand
     (docs/how-to/live-page.md)."""
 
-    task: Literal["card", "cube", "screwdriver"] | None = None
-    """Task of the study to simulate around the hand: card pickup, vertical cube rotation or
-    screwdriver pivot. Keys: g starts a trial, r resets the object, d ends the trial. --control
+    task: Literal["card", "cube", "screwdriver", "relocate", "hammer", "tongs"] | None = None
+    """Task to simulate around the hand: card pickup, vertical cube rotation or screwdriver pivot;
+    with --arm also relocate, hammer or tongs (docs/how-to/tasks.md). Keys: g starts a trial, r resets the object, d ends the trial. --control
     accepts messages for the same actions."""
 
     arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None

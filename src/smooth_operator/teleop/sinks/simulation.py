@@ -20,6 +20,7 @@ from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.scenes.physics import ArmPhysics
+from smooth_operator.simulation.tasks.catalogue import task_named
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Tick
 from smooth_operator.types import Side
@@ -46,7 +47,7 @@ class Simulation(Sink):
     rate: float = 500.0
     bandwidth: float = 20.0
     gravity: bool = False
-    task: Literal["none", "card", "cube", "screwdriver"] = "none"
+    task: Literal["none", "card", "cube", "screwdriver", "relocate", "hammer", "tongs"] = "none"
     full_force: float = 5.0
     _world: World | None = field(default=None, init=False, repr=False, compare=False)
     _task: str | None = field(default=None, init=False, repr=False, compare=False)
@@ -110,6 +111,7 @@ class Simulation(Sink):
         Raises:
             UnknownNameError: there is no such task.
             HandModelError: the task does not fit the size of a hand; nothing changes.
+            ConfigError: the task moves the wrist, and there is no arm; nothing changes.
             SinkError: the simulation is closed, or was closed in the meantime.
         """
         before = self._world
@@ -242,6 +244,11 @@ class Simulation(Sink):
     def _built(self, hand: Hand, task: str) -> HandPhysics:
         step, arm = 1.0 / self.rate, self._arms.get(hand.spec.side)
         if task != "none":
+            if arm is None and task_named(task).moves_wrist:
+                raise ConfigError(
+                    f"task {task!r} moves the wrist, but the hand is on a fixture; add an arm, such "
+                    "as --arm panda, or choose card, cube or screwdriver"
+                )
             return ScenePhysics(hand, scene_for(task, hand), step, self.bandwidth, arm)
         if arm is not None:
             return ArmPhysics(hand, arm, step, self.bandwidth)
