@@ -355,7 +355,7 @@ def test_an_arm_holds_its_hand_and_goes_where_it_is_sent(arm):
     np.testing.assert_allclose(physics.arm_positions, target, atol=5e-3)
 
 
-@pytest.mark.parametrize("task", ["card", "cube", "screwdriver"])
+@pytest.mark.parametrize("task", ["card", "cube", "screwdriver", "relocate"])
 def test_a_task_stands_in_front_of_the_arm(task):
     carried = _carried("xarm7")
     hand = carried.mount.hand
@@ -388,6 +388,21 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back():
         after = sink.measured_wrist("right")
         assert after[1] - before[1] > 0.05, "a positive first joint turns it to the left"
         assert sink.arm_base("right") is None, "there is no task"
+    finally:
+        sink.close()
+
+
+def test_a_task_that_moves_the_wrist_needs_an_arm():
+    carried = _carried("panda")
+    hand, sink = carried.mount.hand, Simulation(task="relocate")
+    with pytest.raises(ConfigError, match="--arm panda"):
+        sink.open({"right": hand}, {})
+    sink.use_arms({"right": carried})
+    sink.open({"right": hand}, {})
+    try:
+        until(lambda: sink.scene_state("right").support > 0.0)
+        kinds = {part.name: part.kind for part in sink.parts_of("right")}
+        assert kinds["ball"] == "capsule", "the page draws a ball as a capsule without length"
     finally:
         sink.close()
 

@@ -37,7 +37,8 @@ WRIST_NAMES: Final = tuple(f"wrist.{name}" for name in ("x", "y", "z", "rx", "ry
 vector [rad], relative to the wrist frame at the start."""
 
 GOAL_NAMES: Final = ("target.x", "target.y", "target.z", "mechanism.pos")
-"""Further names of the environment's state in tasks with a moving wrist [m]."""
+"""Further names of the environment's state in tasks with a moving wrist: target [m], and depth of
+the nail [m] or angle of the tongs [rad]."""
 
 _REACH_M: Final = 1.0  # limit of each coordinate of the wrist in an action [m]
 
@@ -56,8 +57,8 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
     go on with six numbers for the wrist: position [m] and rotation vector [rad], relative to the
     wrist frame at the start (x to the middle finger's base, z out of the back); it moves at most
     0.5 m/s and 2 rad/s. ``environment_state`` then goes on with the (3,) target [m] and the
-    position of the scene's moving part [m]. The reward is the score of the trial, 0, 0.5 or 1, in
-    the last step of an episode; ``info["is_success"]`` is true for a score of 1.
+    position of the scene's moving part [m or rad]. The reward is the score of the trial, 0, 0.5 or
+    1, in the last step of an episode; ``info["is_success"]`` is true for a score of 1.
 
     The object's start, friction and mass differ in each episode, as in the benchmark's worlds;
     ``reset`` with a seed repeats an episode.

@@ -37,8 +37,8 @@ class TeleopRequest(MethodRequest):
 
     task: Literal["card", "cube", "screwdriver", "relocate", "hammer", "tongs"] | None = None
     """Task to simulate around the hand: card pickup, vertical cube rotation or screwdriver pivot;
-    with --arm also relocate, hammer or tongs (docs/how-to/tasks.md). Keys: g starts a trial, r resets the object, d ends the trial. --control
-    accepts messages for the same actions."""
+    relocate, hammer and tongs need --arm (docs/how-to/user-study.md). Keys: g starts a trial, r
+    resets the object, d ends the trial. --control accepts messages for the same actions."""
 
     arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Arm that carries the hand and follows the operator's wrist (arm extra): panda, ur5e, xarm7,

@@ -246,8 +246,8 @@ class Simulation(Sink):
         if task != "none":
             if arm is None and task_named(task).moves_wrist:
                 raise ConfigError(
-                    f"task {task!r} moves the wrist, but the hand is on a fixture; add an arm, such "
-                    "as --arm panda, or choose card, cube or screwdriver"
+                    f"task {task!r} moves the wrist, but the hand is on a fixture; add an arm "
+                    "such as --arm panda, or choose card, cube or screwdriver"
                 )
             return ScenePhysics(hand, scene_for(task, hand), step, self.bandwidth, arm)
         if arm is not None:
