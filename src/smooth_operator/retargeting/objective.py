@@ -372,14 +372,13 @@ class Objective:
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
         """Terms on the positions of points: keyvectors, then those of the method and the preset."""
-        own = (term for term in self._own if isinstance(term, PointTerm))
-        return (self.keyvectors, *own)
+        return (self.keyvectors, *(one for one in self._own if isinstance(one, PointTerm)))
 
     @cached_property
     def joint_terms(self) -> tuple[JointTerm, ...]:
         """Terms on joints: neutral pose, velocity, then those of the method and the preset."""
-        own = (term for term in self._own if isinstance(term, JointTerm))
-        return (*self.config.pulls(self.hand.neutral), *own)
+        pulls = self.config.pulls(self.hand.neutral)
+        return (*pulls, *(one for one in self._own if isinstance(one, JointTerm)))
 
     @cached_property
     def _own(self) -> tuple[Term, ...]:
@@ -409,11 +408,13 @@ class Objective:
         """Kinematics of the points of all terms. A point of several terms may occur twice."""
         return PointKinematics(self.tree, sum(self._groups, ()))
 
-    def value_grad_hess(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
-        """Value, gradient and Hessian at a pose: the sum over the terms. Those of Eq. (1) are
-        exact, except at the kinks of smooth-L1."""
+    @cached_property
+    def value_grad_hess(self) -> Callable[[Array, FrameGoal], tuple[Array, Array, Array]]:
+        """Value, gradient (m,) and Hessian (m, m) at a pose (m,), summed over the terms. Those of
+        Eq. (1) are exact, except at the kinks of smooth-L1. A program traces the function once."""
+        return jax.jit(self._expand)
+
+    def _expand(self, q: Array, goal: FrameGoal) -> tuple[Array, Array, Array]:
         kinematics, joints = self.kinematics, self.hand.transmission.matrix
         motion = kinematics(all_joints(self.hand, q))
         slices = [self._groups[term.points()] for term in self.point_terms]
@@ -443,8 +444,7 @@ class Objective:
 
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
         """Costs of a few poses. The compiler drops the derivatives."""
-        costs: Array = jax.vmap(lambda one: self.value_grad_hess(one, goal)[0])(q)
-        return costs
+        return jax.vmap(self.value_grad_hess, in_axes=(0, None))(q, goal)[0]
 
 
 def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> tuple[Array, Array]:
