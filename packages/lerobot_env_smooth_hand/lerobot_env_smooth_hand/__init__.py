@@ -1,5 +1,5 @@
-"""LeRobot plug-in with the Gymnasium environments ``smooth_hand/card``, ``cube``,
-``screwdriver``."""
+"""LeRobot plug-in with the Gymnasium environments ``smooth_hand/card``, ``cube``, ``screwdriver``,
+``relocate``, ``hammer`` and ``tongs``."""
 
 import contextlib
 import importlib.util
