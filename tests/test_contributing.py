@@ -299,7 +299,8 @@ def seconds_of(node: ast.AST) -> Iterator[float]:
     """Numbers that a test waits for, or that a time on the machine's clock may be at most."""
 
     def is_clock(call: ast.AST) -> bool:
-        return ast.unparse(call) in ("time.monotonic()", "time.perf_counter()", "time.time()")
+        clocks = ("time.monotonic()", "time.perf_counter()", "time.time()")
+        return isinstance(call, ast.Call) and ast.unparse(call) in clocks
 
     bounds: list[ast.expr] = []
     match node:

@@ -468,7 +468,7 @@ def test_impossible_choices(fingers, error, message):
                 name,
                 "left" if at % 2 else "right",
                 "joint_angle",
-                marks=pytest.mark.weekly if at > 1 else (),
+                marks=pytest.mark.weekly if at > 0 else (),
             )
             for at, name in enumerate(LATER)
         ),

@@ -153,7 +153,8 @@ def test_a_hand_that_nobody_names_is_refused_where_both_are_taken():
     assert read(text(side="L"), None).side == "left"
 
 
-def test_no_message_can_raise_anything_else():
+@pytest.mark.parametrize("tries", [50, pytest.param(300, marks=pytest.mark.weekly)])
+def test_no_message_can_raise_anything_else(tries):
     objects = [dict(zip("xyz", point, strict=True)) for point in POINTS.tolist()]
     matrices = [[[1, 0, 0, x], [0, 1, 0, y], [0, 0, 1, z], [0, 0, 0, 1]] for x, y, z in POINTS]
     more = {"stamp": 4, "wrist": [0] * 7, "world": "w"}
@@ -165,8 +166,8 @@ def test_no_message_can_raise_anything_else():
         lambda data: read_payload(data, side="right", received=0.0),
         lambda data: read_manus(data, gloves={}, side="right", received=0.0),
     ):
-        refused, found = fuzzing.outcomes(st.one_of(*mutants), 150, reader)
-        assert len(refused) > 50  # the other's messages, too
+        refused, found = fuzzing.outcomes(st.one_of(*mutants), tries, reader)
+        assert len(refused) > tries // 3  # the other's messages, too
         for frame in (reading.frame for readings in found for reading in readings):
             assert np.isfinite(frame.landmarks[frame.valid]).all()
 
