@@ -19,6 +19,7 @@ from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.metrics.pinches import DEEP, TOUCH_DISTANCE
 from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.retargeting.correspondence import Correspondence, CorrespondenceConfig
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
 DT = jnp.float32(1 / 60)
@@ -48,7 +49,8 @@ def follow(
     for i, points in enumerate(frames):
         tips = jnp.asarray(points[list(TIPS)])
         steps = jnp.asarray(np.nan_to_num(points - last)[list(TIPS)])
-        arguments = (jnp.asarray(points), tips, steps, steps, DT, jnp.bool_(i in restarts))
+        clock = FrameClock(jnp.float32(DT), jnp.bool_(i in restarts))
+        arguments = (jnp.asarray(points), tips, steps, steps, clock)
         state, *_ = step(state, *arguments)
         lengths.append(np.asarray(state.lengths))
         places.append(np.asarray(state.places))

@@ -13,6 +13,7 @@ from smooth_operator.retargeting.fingertip_filter import (
     FingertipFilterConfig,
     filter_fingertips,
 )
+from smooth_operator.retargeting.program import FrameClock
 
 CONFIG = FingertipFilterConfig()
 RATES = [10.0, 30.0, 100.0, 500.0]
@@ -24,7 +25,8 @@ def play(
     """States after each frame of a (T, n, 3) path, and the (T, n, 3) steps of the points."""
 
     def frame(state: FilterState, given: Any) -> Any:
-        after, moved = filter_fingertips(state, given[0], 1 / rate, config, given[1])
+        clock = FrameClock(jnp.float32(1 / rate), given[1])
+        after, moved, _ = filter_fingertips(state, given[0], config, clock)
         return after, (after, moved)
 
     first = jnp.arange(len(path)) == 0
@@ -112,11 +114,14 @@ def test_after_a_gap_points_are_taken_as_they_are_and_the_shake_stays():
     states, _ = play(shaken(2.0, 100.0), 100.0)
     last = jax.tree.map(lambda one: one[-1], states)
     elsewhere = jnp.full((6, 3), 0.3)
-    after, _ = filter_fingertips(last, elsewhere, 0.01, CONFIG, restart=True)
+    dt = jnp.float32(0.01)
+    restart, clock = FrameClock(dt, jnp.bool_(True)), FrameClock(dt, jnp.bool_(False))
+    after, *steps = filter_fingertips(last, elsewhere, CONFIG, restart)
+    np.testing.assert_array_equal(steps, 0)
     np.testing.assert_array_equal(after.points, elsewhere)
     np.testing.assert_array_equal(after.followed, elsewhere)
     assert float(after.shake) == float(last.shake)
-    still, _ = filter_fingertips(after, elsewhere, 0.01, CONFIG)
+    still, *_ = filter_fingertips(after, elsewhere, CONFIG, clock)
     np.testing.assert_array_equal(still.points, elsewhere)
 
 

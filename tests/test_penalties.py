@@ -9,7 +9,7 @@ from trees import float64
 from smooth_operator import load_hand
 from smooth_operator.baselines.ako import AkoObjectiveConfig, NormKeyvectors
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.objective import FrameGoal, Keyvectors, Objective, RobotVectors
+from smooth_operator.retargeting.objective import FrameGoal, Keyvectors, Objective
 from smooth_operator.retargeting.sbr.published import KEYVECTORS, ObjectiveConfig
 from smooth_operator.retargeting.targets import KeyvectorLayout
 
@@ -37,8 +37,7 @@ def written_out(error: np.ndarray, weight: float, loss: str) -> float:
 
 
 def keyvectors(loss: str) -> Keyvectors:
-    hand = load_hand()
-    return TERMS[loss](RobotVectors(hand, KeyvectorLayout(hand.fingers)), TRANSITION)
+    return TERMS[loss](KeyvectorLayout(load_hand().fingers), TRANSITION)
 
 
 @pytest.mark.parametrize("loss", TERMS)

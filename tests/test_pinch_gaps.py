@@ -15,6 +15,7 @@ from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.retargeting.preset_files import method_config
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
@@ -49,9 +50,10 @@ def follow(estimate, points, known, rate):
     """States and distances of thumb and index finger after the correction [palm lengths]."""
 
     def one(state, frame):
-        after, out = estimate.step(state, frame, jnp.float32(1 / rate), jnp.bool_(False))
+        after, out = estimate.step(state, frame, clock)
         return after, (after, out)
 
+    clock = FrameClock(jnp.float32(1 / rate), jnp.bool_(False))
     start = PinchGapState.of(estimate.hand.fingers, known)
     _, (states, out) = jax.lax.scan(one, start, jnp.asarray(points))
     apart = np.asarray(out[:, INDEX] - out[:, THUMB])

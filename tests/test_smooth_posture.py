@@ -100,7 +100,8 @@ def test_a_finger_in_a_wrong_basin_finds_back(operator):
     q = np.array(trees.method.q)
     for middle in (4, 8):
         q[middle : middle + 4] = (-0.31, -1.05, 1.6, 1.8)
-    method = trees.method._replace(q=q)
+    reach = (hand.tips(hand.full_configuration(q)) - hand.wrist).astype(np.float32)
+    method = trees.method._replace(q=q, reach=reach)
     state = RetargetState.of(FrameState(method, q))
     positions = []
     for i in range(60):

@@ -18,7 +18,7 @@ from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.retargeting.batching import ticks_of
 from smooth_operator.retargeting.levenberg import damped_newton
-from smooth_operator.retargeting.objective import FrameGoal, Objective, VectorSlopes
+from smooth_operator.retargeting.objective import Derivatives, FrameGoal, Objective
 from smooth_operator.retargeting.program import FrameClock, tick_after
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
@@ -26,7 +26,8 @@ from smooth_operator.retargeting.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
     FingerSpread,
-    FingertipMotion,
+    FingertipPositionConfig,
+    FingertipTracking,
     SelfCollision,
     SelfCollisionConfig,
 )
@@ -155,14 +156,15 @@ def problem(
         0.2,
         jnp.asarray(
             hand.tips(hand.full_configuration(hand.neutral))
+            - hand.wrist
             + rng.normal(0, 0.01, (len(hand.fingers), 3))
         ),
         jnp.asarray(rng.uniform(0, 40, len(hand.fingers))),
     )
     direction_length = DirectionLengthConfig(*((1.5, 3.0) if held else (0.0, 0.0)), 0.002, 0.04)
     more = (
-        FingertipMotion(hand),
-        DirectionLength(eq_1.keyvectors.vectors, direction_length),
+        FingertipTracking(eq_1.layout, FingertipPositionConfig(0.0)),
+        DirectionLength(eq_1.layout, direction_length),
         SelfCollision(hand, SelfCollisionConfig(self_collision, margin=0.002)),
     )
     return Objective(hand, config, more), goal
@@ -206,7 +208,8 @@ def test_it_is_eq_1_where_nothing_is_added():
         poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
         eq_1 = SampledObjective(hand, plain.config)
         expected = jax.jit(lambda q: eq_1(list(q.T), goal, within_limits=False))(poses)
-        found = jax.jit(lambda q: plain.values(q, goal))(jnp.asarray(poses))
+        costs = jax.vmap(lambda q: plain.value_grad_hess(q, goal)[0])
+        found = jax.jit(costs)(jnp.asarray(poses))
         np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
@@ -217,7 +220,6 @@ def test_the_descent_reaches_a_bounded_minimum():
         run = jax.jit(
             lambda q: damped_newton(
                 lambda one: smooth.value_grad_hess(one, goal),
-                lambda few: smooth.values(few, goal),
                 q,
                 hand.limits,
                 300,
@@ -225,20 +227,17 @@ def test_the_descent_reaches_a_bounded_minimum():
             )
         )
         found, reached, _ = run(jnp.asarray(hand.neutral, float))
-        cost, gradient, _ = jax.jit(lambda q: smooth.value_grad_hess(q, goal))(found)
+        derivatives = jax.jit(lambda q: smooth.value_grad_hess(q, goal))
+        cost, gradient, _ = derivatives(found)
         np.testing.assert_allclose(reached, cost, rtol=1e-9)
         low, high = hand.limits.T
         free = np.clip(found - gradient, low, high) - found
         assert np.abs(free).max() < 1e-5
-        first = jax.jit(lambda few: smooth.values(few, goal))(jnp.asarray(hand.neutral)[None])
-        assert cost < first[0]
+        assert cost < derivatives(jnp.asarray(hand.neutral))[0]
 
 
 def test_the_cost_never_rises():
     """Newton's undamped step on sqrt(1 + x^2) goes from x to -x^3, and beyond 1 the cost rises."""
-
-    def values(q: jax.Array) -> jax.Array:
-        return jnp.sqrt(1 + q**2).sum(axis=-1)
 
     def derivatives(q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         root = jnp.sqrt(1 + q**2)
@@ -246,10 +245,10 @@ def test_the_cost_never_rises():
 
     limits = np.array([[-100.0, 100.0]] * 2)
     start, last = jnp.array([15.0, 12.0]), jnp.inf
-    run = jax.jit(lambda count: damped_newton(derivatives, values, start, limits, count))
+    run = jax.jit(lambda count: damped_newton(derivatives, start, limits, count))
     for iterations in (*range(1, 8), 20):
         found, cost, _ = run(iterations)
-        np.testing.assert_allclose(cost, values(found), rtol=1e-6)
+        np.testing.assert_allclose(cost, derivatives(found)[0], rtol=1e-6)
         assert cost < last or np.abs(found).max() < 1e-3
         last = cost
     np.testing.assert_allclose(found, 0, atol=1e-3)
@@ -260,20 +259,17 @@ def test_a_step_that_does_not_descend_is_tried_shorter():
     its floor. A hilltop's start, from which nothing descends, stays."""
     steep = 1e4
 
-    def values(q: jax.Array) -> jax.Array:
-        return (0.5 * q**2 + steep * jnp.maximum(q - 0.01, 0.0) ** 2 - q).sum(axis=-1)
-
     def derivatives(q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        slope = q + 2 * steep * jnp.maximum(q - 0.01, 0.0) - 1
-        return values(q), slope, jnp.eye(1)  # as of the side from which it comes
+        beyond = jnp.maximum(q - 0.01, 0.0)
+        cost, slope = 0.5 * q**2 + steep * beyond**2 - q, q + 2 * steep * beyond - 1
+        return cost.sum(), slope, jnp.eye(1)  # as of the side from which it comes
 
     limits = np.array([[-10.0, 10.0]])
-    found, _, steps = damped_newton(derivatives, values, jnp.zeros(1), limits, 50, 1e-6)
+    found, _, steps = damped_newton(derivatives, jnp.zeros(1), limits, 50, 1e-6)
     np.testing.assert_allclose(found, 0.01 + (1 - 0.01) / (1 + 2 * steep), atol=1e-5)
     assert 2 < steps < 50
     held, *_ = damped_newton(
-        lambda q: (-(q**2).sum(), -2 * q, -2 * jnp.eye(1)),
-        lambda q: jnp.where(q[..., 0] == 0, 0.0, jnp.inf),
+        lambda q: (jnp.where(q[0] == 0, 0.0, jnp.inf), -2 * q, -2 * jnp.eye(1)),
         jnp.zeros(1),
         limits,
         50,
@@ -343,9 +339,7 @@ def test_joints_that_spread_fingers_are_known(name, joints):
     assert names[spread_joints(hand)].tolist() == joints
 
 
-def slopes_of(
-    config: DirectionLengthConfig, vectors: jax.Array, targets: jax.Array
-) -> VectorSlopes:
+def slopes_of(config: DirectionLengthConfig, vectors: jax.Array, targets: jax.Array) -> Derivatives:
     """The cost of some vectors, whatever hand they are of."""
     goal = NO_GOAL._replace(vectors=targets)
     return EveryVector(None, config).slopes(vectors - targets, goal)

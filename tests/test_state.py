@@ -45,7 +45,7 @@ def test_arrays_of_other_kinds_stay_as_they_are():
     assert len(state.others) == len(OTHERS)
     assert same(state.trees, trees)
     assert same(state.method, trees.method)
-    np.testing.assert_array_equal(state.q, Q)
+    np.testing.assert_array_equal(state.trees.q, Q)
 
 
 def test_a_state_is_a_tree_of_one_array():

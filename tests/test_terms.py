@@ -13,7 +13,7 @@ from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_con
 from smooth_operator.baselines.ako import AkoObjectiveConfig
 from smooth_operator.geometry import AnyArray
 from smooth_operator.retargeting import LeastSquaresTerm, ObjectiveConfig
-from smooth_operator.retargeting.objective import FrameGoal, JointCost, JointTerm, smooth_l1
+from smooth_operator.retargeting.objective import Derivatives, FrameGoal, JointTerm, smooth_l1
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 
 
@@ -36,9 +36,9 @@ class EvenBend(JointTerm):
 
     weight: float = 2.0
 
-    def expand(self, q: AnyArray, goal: FrameGoal) -> JointCost:
+    def expand(self, q: AnyArray, goal: FrameGoal) -> Derivatives:
         weight = self.weight
-        return JointCost(weight * (q**4).sum(axis=-1), 4 * weight * q**3, 12 * weight * q**2)
+        return Derivatives(weight * (q**4).sum(axis=-1), 4 * weight * q**3, 12 * weight * q**2)
 
 
 def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():
@@ -77,11 +77,12 @@ def test_a_velocity_weight_of_each_joint_is_that_joints_in_all_forms(kind):
         goal = goal._replace(velocity_weight=jnp.asarray(weights))
         still = goal._replace(velocity_weight=jnp.zeros(len(weights)))
         many = jax.jit(lambda q, goal: objective(list(q.T), goal, within_limits=False))
-        few = jax.jit(objective.values)
+        costs = jax.vmap(lambda q, goal: objective.value_grad_hess(q, goal)[0], (0, None))
+        few = jax.jit(costs)
         np.testing.assert_allclose(many(poses, goal), few(poses, goal), rtol=1e-9)
         change = poses - poses[0]
         squares = (weights * change**2).sum(axis=1)
-        huber = smooth_l1(weights * change, 0.02).sum(axis=1)
+        huber = smooth_l1(weights * change, 0.02)[0].sum(axis=1)
         expected = squares if kind is ObjectiveConfig else huber
         np.testing.assert_allclose(many(poses, goal) - many(poses, still), expected, atol=1e-9)
 

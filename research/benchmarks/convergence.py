@@ -55,7 +55,6 @@ def descent(method: Posed, iterations: int, still: float) -> Callable[..., Any]:
         limits = frame_limits(method.hand, goal.vectors[: len(method.hand.fingers)])
         return damped_newton(
             lambda one: method.objective.value_grad_hess(one, goal),
-            lambda few: method.objective.values(few, goal),
             jnp.clip(start, limits[:, 0], limits[:, 1]),
             limits,
             iterations,

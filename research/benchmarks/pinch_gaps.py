@@ -23,6 +23,7 @@ from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.types import HandRecording
 
 CLOSED, CONTACT, FAR, LEAST = 8.0, 3.0, 10.0, 15.0  # [mm]
@@ -53,7 +54,8 @@ def corrected(
     dt = np.diff(stamps, prepend=stamps[0] - 1).astype(np.float32)
 
     def one(state: PinchGapState, frame: tuple) -> tuple[PinchGapState, jax.Array]:
-        return estimate.step(state, *frame)
+        points, *clock = frame
+        return estimate.step(state, points, FrameClock(*clock))
 
     start = PinchGapState.of(estimate.hand.fingers, known)
     state, out = jax.lax.scan(one, start, tuple(map(jnp.asarray, (aligned, dt, dt > 0.25))))

@@ -17,14 +17,11 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray
 from smooth_operator.landmarks import WRIST
 from smooth_operator.retargeting.objective import (
+    Derivatives,
     FrameGoal,
-    JointCost,
     JointTerm,
     Keyvectors,
-    RobotVectors,
-    VectorSlopes,
     smooth_l1,
-    smooth_l1_slopes,
 )
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig, StatelessTargets
 from smooth_operator.retargeting.targets import Targets, VectorLayout, tips_of
@@ -127,19 +124,19 @@ class NormKeyvectors(Keyvectors):
         """See ``Keyvectors``."""
         x, y, z = error
         length = jnp.sqrt(x * x + y * y + z * z + _TINY_AREA)
-        return smooth_l1(weight * length, self.transition)
+        return smooth_l1(weight * length, self.transition)[0]
 
-    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
         """See ``VectorTerm``; exact except at the kink of smooth-L1."""
         weights = jnp.asarray(goal.weights)
         length = jnp.sqrt((errors * errors).sum(axis=-1) + _TINY_AREA)
         unit = errors / length[:, None]
-        slope, second = smooth_l1_slopes(weights * length, self.transition)
+        cost, slope, second = smooth_l1(weights * length, self.transition)
         along = unit[:, :, None] * unit[:, None, :]
         radial, tangential = weights**2 * second, weights * slope / length
         across = jnp.eye(3, dtype=errors.dtype) - along
-        return VectorSlopes(
-            smooth_l1(weights * length, self.transition).sum(),
+        return Derivatives(
+            cost.sum(),
             (weights * slope)[:, None] * unit,
             radial[:, None, None] * along + tangential[:, None, None] * across,
         )
@@ -155,22 +152,21 @@ class SmoothL1Velocity(JointTerm):
 
     transition: float
 
-    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
         """See ``JointTerm``."""
         weight: Any = goal.velocity_weight
         change = weight * (q - goal.previous)
-        first, second = smooth_l1_slopes(change, self.transition)
-        cost = smooth_l1(change, self.transition).sum(axis=-1)
-        return JointCost(cost, weight * first, weight**2 * second)
+        cost, first, second = smooth_l1(change, self.transition)
+        return Derivatives(cost.sum(axis=-1), weight * first, weight**2 * second)
 
 
 @dataclass(frozen=True)
 class AkoObjectiveConfig(ObjectiveConfig):
     """Settings of AKO's objective, which has its own penalties on vectors and joint changes."""
 
-    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+    def keyvectors(self, layout: VectorLayout) -> Keyvectors:
         """Smooth-L1 of the weight times the length of each error."""
-        return NormKeyvectors(vectors, self.transition)
+        return NormKeyvectors(layout, self.transition)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
         """Pull to a pose, and smooth-L1 of the weight times the change of each joint."""

@@ -207,11 +207,11 @@ class SlsqpMethod(Method):
             problem, flat = before(state.method, landmarks, valid, ticks)
             code, scale = np.asarray(flat).tolist()
             if code != Status.OK:
-                return state, FrameResult(state.q, int(code), np.nan, scale)
+                return state, FrameResult(state.trees.q, int(code), np.nan, scale)
             after, output = self.solve(state.method, problem)
             loss = float(output.tracking_loss)
             if not np.isfinite(output.q).all():
-                return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
+                return state, FrameResult(state.trees.q, Status.SOLVER_FAILED, loss, scale)
             state = RetargetState.of(FrameState(after, np.asarray(output.q)))
             return state, FrameResult(output.q, int(code), loss, scale)
 

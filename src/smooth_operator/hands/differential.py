@@ -161,31 +161,11 @@ def moments(points: Float[Array, "F 3"], gradient: Float[Array, "F 3"]) -> Float
     return jnp.concatenate([products, gradient], axis=1)
 
 
-def all_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
-    """Traceable ``Hand.full_configuration`` of one pose, as sums."""
-    return hand.transmission.curved(_linear(hand, q))
-
-
-def _linear(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
-    """A q + b of the hand's transmission."""
+def linear_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
+    """A q + b of the hand's ``Transmission`` at one pose, as sums; traceable. ``curved`` makes
+    positions of all joints of them."""
     transmission = hand.transmission
     return contracted(q, transmission.matrix.T) + transmission.offset.astype(q.dtype)
-
-
-def before_curves(
-    hand: Hand,
-    q: Float[Array, " m"],
-    joints: Sequence[int],
-    slope: Float[Array, " J"],
-    curvature: Float[Array, "J J"],
-) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
-    """Derivatives with respect to A q + b (see ``Transmission``), from those with respect to the
-    positions of some joints, by the chain rule. Without curves, they are the same."""
-    if not hand.transmission.curves:
-        return slope, curvature
-    linear, at = _linear(hand, q), np.array(joints)
-    first, second = (hand.transmission.curved(linear, order)[at] for order in (1, 2))
-    return slope * first, first[:, None] * curvature * first + jnp.diag(slope * second)
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind, Similarity, umeyama
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.anatomy import PALM_RANGE_M
 from smooth_operator.landmarks import BASES, LANDMARKS
+from smooth_operator.settings import check_range
 
 MIN_CONDITION = 0.02
 """Smallest condition number of a palm triangle that has a usable orientation.
@@ -33,11 +33,7 @@ class AlignmentConfig:
     scale: float | None = None
 
     def __post_init__(self) -> None:
-        if self.scale is not None and not 0.1 < self.scale < 10:
-            raise ConfigError(
-                f"alignment scale must be between 0.1 and 10 (robot size over human size), "
-                f"not {self.scale}"
-            )
+        check_range("alignment scale", self.scale, 0.1, 10, "(robot size over human size)")
 
 
 def palm_alignment(

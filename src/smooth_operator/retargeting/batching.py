@@ -218,7 +218,7 @@ class LaneProgram:
         values and tracking losses of all frames. Each recording starts from the same state."""
         total = len(tracks.ticks)
         # the last row takes the results of lanes without a recording
-        q = np.empty((total + 1, len(initial.q)), np.float32)
+        q = np.empty((total + 1, len(initial.trees.q)), np.float32)
         status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
         advance, lock, ended = progressing(total, track), threading.Lock(), threading.Event()
 

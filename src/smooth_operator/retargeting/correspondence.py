@@ -18,13 +18,14 @@ from typing import Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import lengths, smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS, finger_landmarks
 from smooth_operator.retargeting.gripper import Jaws
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.settings import check_numbers, check_range
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
@@ -130,8 +131,7 @@ class Correspondence:
         tips: Float[Array, "F 3"],
         steps: Float[Array, "F 3"],
         measured: Float[Array, "F 3"],
-        dt: Float[Array, ""],
-        restart: Bool[Array, ""],
+        clock: FrameClock,
     ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
         """Returns the state after a frame and the (F, 3) steps of the fingertip targets in it [m],
         in the direction of ``steps``. Traceable.
@@ -141,8 +141,7 @@ class Correspondence:
             tips: (F, 3) the human's fingertips in the palm frame, thumb first [m].
             steps: (F, 3) steps of the filtered fingertips in this frame [m].
             measured: (F, 3) steps of the fingertips as measured [m].
-            dt: time between the two frames [s].
-            restart: True if there is no previous frame, or if it is too old.
+            clock: time since the last frame.
         """
         # joints between base and tip may be hidden; then the last lengths are used
         chains = aligned[np.array(finger_landmarks(self.hand.fingers))]
@@ -158,8 +157,8 @@ class Correspondence:
             size = jnp.full_like(size, size.sum())  # either fingertip opens both jaws
         else:
             places, gain, nearness = self._places(operator, tips)
-        most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * dt)[:, None]
-        last = jnp.where(restart, places, before.places)
+        most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * clock.dt)[:, None]
+        last = jnp.where(clock.restart, places, before.places)
         places = last + _shortened(places - last, most)
         if self.hand.spec.gripper:
             moves = places - last

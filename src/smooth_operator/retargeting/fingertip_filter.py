@@ -15,9 +15,10 @@ from typing import Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from smooth_operator.geometry import lengths
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.settings import check_numbers
 
 SHAKE_AT_FIRST: Final = 1e-3
@@ -82,13 +83,13 @@ class FilterState(NamedTuple):
 def filter_fingertips(
     before: FilterState,
     measured: Float[Array, "n 3"],
-    dt: Float[Array, ""] | float,
     config: FingertipFilterConfig,
-    restart: Bool[Array, ""] | bool = False,
-) -> tuple[FilterState, Float[Array, "n 3"]]:
-    """Returns the state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the
-    last, and the (n, 3) steps of the filtered points in it [m]. ``restart`` means that the last
-    frame is too old to be used; the measured shake is kept."""
+    clock: FrameClock,
+) -> tuple[FilterState, Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Returns the state after a frame of (n, 3) measured points [m], and the (n, 3) steps in it of
+    the filtered points and of the measured points without jumps [m]. If the last frame is too old
+    to be used, the steps are 0, and the measured shake is kept."""
+    dt, restart = clock
     start = jnp.where(restart, measured, before.points)
     followed = jnp.where(restart, measured, before.followed)
     beyond, means = measured, []
@@ -108,15 +109,12 @@ def filter_fingertips(
     share = ((config.share + left) / (1 + left))[:, None]
     points = start + share * step
     points = points + dt / (dt + config.settle) * (followed - points)
-    return FilterState(points, followed, jnp.stack(means), shake), points - start
+    return FilterState(points, followed, jnp.stack(means), shake), points - start, step
 
 
 def _median(values: Float[Array, " n"]) -> Float[Array, ""]:
-    """Computed by rank instead of by sorting, because XLA calls a library to sort."""
-    count, index = len(values), np.arange(len(values))
-    first = (values[None] < values[:, None]) | (
-        (values[None] == values[:, None]) & (index[None] < index[:, None])
-    )
-    rank = first.sum(axis=1)
-    middle = jnp.where((rank == (count - 1) // 2) | (rank == count // 2), values, 0.0)
-    return middle.sum() / (2 - count % 2)
+    """Computed by comparisons instead of by sorting, because XLA calls a library to sort."""
+    up_to = (values[None] <= values[:, None]).sum(axis=1)  # number of values up to each
+    ranks = (len(values) + 1) // 2, len(values) // 2 + 1
+    lower, upper = (jnp.where(up_to >= rank, values, jnp.inf).min() for rank in ranks)
+    return 0.5 * (lower + upper)

@@ -78,7 +78,6 @@ def best_of(costs: Float[Array, " c"]) -> tuple[Array, Array]:
 
 def damped_newton(
     value_grad_hess: ValueGradHess,
-    values: Callable[[Array], Array],
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     iterations: int,
@@ -91,7 +90,6 @@ def damped_newton(
 
     Args:
         value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.
-        values: (c, m) candidates to their (c,) costs.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
         iterations: maximum number of steps.
@@ -106,7 +104,8 @@ def damped_newton(
         cost, gradient, hessian = value_grad_hess(q)
         dampings = damping * np.array(DAMPINGS, np.float32)
         candidates = newton_candidates(q, gradient, hessian, limits, dampings)
-        winner, lowest = best_of(values(candidates))
+        # the compiler drops the derivatives of the candidates
+        winner, lowest = best_of(jax.vmap(lambda one: value_grad_hess(one)[0])(candidates))
         descends = lowest < cost
         after = jnp.where(descends, candidates[winner], q)
         damping = jnp.where(descends, jnp.maximum(dampings[winner], LEAST), GROWTH * damping)

@@ -23,13 +23,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.geometry import AnyArray, AnyKind
 from smooth_operator.hands.differential import (
     PointKinematics,
     PointMotion,
-    all_joints,
-    before_curves,
     contracted,
+    linear_joints,
     moments,
 )
 from smooth_operator.hands.hand import Hand, tree_with
@@ -56,7 +55,8 @@ class FrameGoal(NamedTuple):
         weights: (K,) their weights.
         previous: (m,) last command of the actuated joints [rad].
         velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 without a last command.
-        tips: (F, 3) fingertips after copying the human's motion [m]; for the motion term only.
+        reach: (F, 3) vectors from the wrist to the fingertips after copying the human's motion [m];
+            for the motion term only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
         pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
     """
@@ -65,7 +65,7 @@ class FrameGoal(NamedTuple):
     weights: Float[AnyArray, " K"]
     previous: Float[AnyArray, " m"]
     velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
-    tips: Float[Array, "F 3"] | None = None
+    reach: Float[Array, "F 3"] | None = None
     motion_weights: Float[Array, " F"] | None = None
     pad: Float[Array, "3"] | None = None
 
@@ -108,7 +108,7 @@ class PointTerm(Term, ABC):
 
     @abstractmethod
     def points(self) -> tuple[str, ...]:
-        """Names of the P points: landmarks that a joint moves, or points of ``own_points``."""
+        """Names of the P points: landmarks of the hand, or points of ``own_points``."""
 
     def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
         """Further points: maps names to (body of the model, (3,) position in it [m])."""
@@ -122,25 +122,27 @@ class PointTerm(Term, ABC):
         the J joints [m/rad]; traceable."""
 
 
-class JointCost(NamedTuple):
-    """A cost on joints at given poses, with its derivatives.
+class Derivatives(NamedTuple):
+    """A separable cost of some variables, with its derivatives: of m joints at given poses, or of K
+    vectors.
 
     Attributes:
-        cost: (...) sum over the joints.
-        slope: (..., m) first derivative.
-        curvature: (..., m) diagonal of the second derivative, or one number for all joints.
+        cost: (...) sum over the variables.
+        first: (..., m) or (K, 3) first derivative.
+        second: (..., m) or (K, 3) diagonal of the second derivative, for vectors without negative
+            parts; (K, 3, 3) if components mix; or one number for all joints.
     """
 
     cost: Any
-    slope: Any
-    curvature: Any
+    first: Any
+    second: Any
 
 
 class JointTerm(Term, ABC):
     """A separable cost on the m actuated joints."""
 
     @abstractmethod
-    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
         """Cost and derivatives at joint positions [rad]; NumPy or JAX."""
 
 
@@ -154,75 +156,11 @@ class Pull(JointTerm):
 
     of: Callable[[FrameGoal], tuple[Any, Any]]
 
-    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
         """See ``JointTerm``."""
         weight, pose = self.of(goal)
         off = q - pose.astype(q.dtype, copy=False)
-        return JointCost((weight * off**2).sum(axis=-1), 2 * weight * off, 2 * weight)
-
-
-@dataclass(frozen=True, eq=False)
-class RobotVectors:
-    """The vectors of a layout on one hand: incidence @ moving points + fixed points.
-
-    Attributes:
-        hand: the robot hand.
-        layout: landmarks that each vector joins; the hand has counterparts of them all.
-    """
-
-    hand: Hand
-    layout: VectorLayout
-
-    @cached_property
-    def moving(self) -> tuple[int, ...]:
-        """The P landmarks whose counterparts a joint moves; those of the others are fixed."""
-        keypoints = self.hand.tree.keypoints
-        return tuple(i for i in self.layout.landmarks if keypoints[LANDMARKS[i]].joint >= 0)
-
-    @cached_property
-    def incidence(self) -> Float[np.ndarray, "K P"]:
-        """1 where a vector ends at a moving point, -1 where it begins at one."""
-        return self._incidence(self.moving)
-
-    def _incidence(self, landmarks: Sequence[int]) -> Float[np.ndarray, "K P"]:
-        start, end = np.array([[-1 if i is None else i for i in v] for v in self.layout.vectors]).T
-        at = np.array(landmarks)
-        matrix: np.ndarray = (end[:, None] == at) - (start[:, None] == at).astype(float)
-        return matrix
-
-    def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
-        """The vectors [m], computed from the moving points [m]."""
-        keypoints = self.hand.tree.keypoints
-        others = [i for i in self.layout.landmarks if i not in self.moving]
-        positions = np.array([keypoints[LANDMARKS[i]].position for i in others]).reshape(-1, 3)
-        fixed = jnp.asarray(self._incidence(others) @ positions, points.dtype)
-        return contracted(points.T, self.incidence.T).T + fixed
-
-    def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
-        """Derivatives of the vectors, from those of the moving points [m/rad]."""
-        every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
-        row: dict[int | None, int] = {landmark: p for p, landmark in enumerate(self.moving)}
-        start, end = ([row.get(v[side], -1) for v in self.layout.vectors] for side in (0, 1))
-        return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
-
-    def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
-        """(P, 3) derivatives of a cost by the points, from its derivatives by some vectors."""
-        incidence = jnp.asarray(self.incidence[which], slopes.dtype)
-        return (incidence[:, :, None] * slopes[:, None, :]).sum(axis=0)
-
-
-class VectorSlopes(NamedTuple):
-    """Derivatives of the cost of K vectors.
-
-    Attributes:
-        cost: sum of their costs.
-        first: (K, 3) first derivative with respect to each vector.
-        second: (K, 3) second derivative without negative parts; (K, 3, 3) if components mix.
-    """
-
-    cost: Float[Array, ""]
-    first: Float[Array, "K 3"]
-    second: Float[Array, "K 3"] | Float[Array, "K 3 3"]
+        return Derivatives((weight * off**2).sum(axis=-1), 2 * weight * off, 2 * weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,44 +168,48 @@ class VectorTerm(PointTerm):
     """A separable cost on the errors of some of the robot's vectors.
 
     Attributes:
-        vectors: the robot's vectors.
+        layout: landmarks that each vector joins; the hand has counterparts of them all.
     """
 
     part: ClassVar[Literal["all", "wrist", "thumb"]] = "all"
     """All vectors, or only the paper's keyvectors from the wrist or from the thumb's tip."""
 
-    vectors: RobotVectors
+    layout: VectorLayout
 
     @abstractmethod
-    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
         """Cost of the errors of ``part`` [m], with derivatives; traceable."""
 
     def points(self) -> tuple[str, ...]:
-        """Landmarks at the ends of the vectors that a joint moves."""
-        return tuple(LANDMARKS[i] for i in self.vectors.moving)
+        """Landmarks that the vectors join."""
+        return tuple(LANDMARKS[i] for i in self.layout.landmarks)
 
     @cached_property
     def which(self) -> slice:
         """The vectors of ``part``; ConfigError if they are not the paper's keyvectors."""
         if self.part == "all":
             return slice(None)
-        layout = self.vectors.layout
-        if not isinstance(layout, KeyvectorLayout):
+        if not isinstance(self.layout, KeyvectorLayout):
             raise ConfigError(
-                f"{type(self).__name__} needs the paper's keyvectors, not {type(layout).__name__}"
+                f"{type(self).__name__} needs the paper's keyvectors, not "
+                f"{type(self.layout).__name__}"
             )
-        return layout.thumb if self.part == "thumb" else slice(0, len(layout.fingers))
+        return self.layout.thumb if self.part == "thumb" else slice(0, len(self.layout.fingers))
 
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
         """See ``PointTerm``."""
-        which = self.which
-        cost, first, second = self.slopes((self.vectors.at(points) - goal.vectors)[which], goal)
-        rows = self.vectors.jacobian(jacobian)[which]
+        which, among = self.which, self.layout.among
+        cost, first, second = self.slopes((among(points) - goal.vectors)[which], goal)
+        along = among(jacobian.reshape(len(points), -1))  # in this order XLA's loops are fast
+        rows = jnp.swapaxes(along.reshape(len(along), *jacobian.shape[1:]), 1, 2)[which]
+        # 1 where a vector ends at a point, -1 where it begins at one
+        incidence = jnp.asarray(among(np.eye(len(points)))[which], points.dtype)
+        gradient = (incidence[:, :, None] * first[:, None, :]).sum(axis=0)
         if second.ndim == 2:  # independent components
-            rows, second = rows.reshape(second.size, rows.shape[-1]), second.reshape(-1)
-        return Quadratic(cost, self.vectors.spread(first, which), rows, second)
+            rows, second = rows.reshape(first.size, -1), second.reshape(-1)
+        return Quadratic(cost, gradient, rows, second)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,30 +224,23 @@ class Keyvectors(VectorTerm):
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
         """Cost of one vector, from the three components of its error [m]."""
-        parts = [smooth_l1(e, self.transition) for e in error]
-        return weight * (parts[0] + parts[1] + parts[2])
+        x, y, z = (smooth_l1(component, self.transition)[0] for component in error)
+        return weight * (x + y + z)
 
-    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
         """See ``VectorTerm``; exact except at the kinks of smooth-L1."""
-        weights = jnp.asarray(goal.weights)
-        cost = self.price([errors[:, c] for c in range(3)], weights).sum()
-        slope, second = smooth_l1_slopes(errors, self.transition)
-        return VectorSlopes(cost, weights[:, None] * slope, weights[:, None] * second)
+        weights = jnp.asarray(goal.weights)[:, None]
+        cost, first, second = smooth_l1(errors, self.transition)
+        return Derivatives((weights * cost).sum(), weights * first, weights * second)
 
 
-def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
-    """x^2 / (2 transition) up to the transition, |x| - transition / 2 beyond; NumPy or JAX."""
-    xp = array_namespace(x)
-    size = xp.abs(x)
-    near = xp.minimum(size, transition)
+def smooth_l1(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind, AnyKind]:
+    """x^2 / (2 transition) up to the transition and |x| - transition / 2 beyond, with its first and
+    second derivative; NumPy or JAX."""
+    size = abs(x)
+    near = size.clip(max=transition)
     cost: AnyKind = near * (size - 0.5 * near) * (1 / transition)
-    return cost
-
-
-def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
-    """First and second derivative of ``smooth_l1``."""
-    slope = (x / transition).clip(-1, 1)
-    return slope, (abs(slope) < 1) / transition
+    return cost, (x / transition).clip(-1, 1), (size < transition) / transition
 
 
 @dataclass(frozen=True)
@@ -325,9 +260,9 @@ class TermsConfig:
     def __post_init__(self) -> None:
         check_numbers(self)
 
-    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+    def keyvectors(self, layout: VectorLayout) -> Keyvectors:
         """First term of Eq. (1)."""
-        return Keyvectors(vectors, TRANSITION)
+        return Keyvectors(layout, TRANSITION)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
         """Second and third term of Eq. (1), for a hand with this neutral pose [rad]."""
@@ -367,7 +302,7 @@ class Objective:
     @cached_property
     def keyvectors(self) -> Keyvectors:
         """First term of Eq. (1)."""
-        return self.config.keyvectors(RobotVectors(self.hand, self.layout))
+        return self.config.keyvectors(self.layout)
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
@@ -385,10 +320,10 @@ class Objective:
         terms = (*self.more, *(term.build(self.hand) for term in self.config.terms))
         return tuple(term for term in terms if not term.is_off)
 
-    def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+    def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
         """Sum of the terms on joints at (..., m) actuated joint positions [rad]; NumPy or JAX."""
         every = zip(*(term.expand(q, goal) for term in self.joint_terms), strict=True)
-        return JointCost(*(functools.reduce(operator.add, parts) for parts in every))
+        return Derivatives(*(functools.reduce(operator.add, parts) for parts in every))
 
     @cached_property
     def tree(self) -> KinematicTree:
@@ -415,25 +350,29 @@ class Objective:
         return jax.jit(self._expand)
 
     def _expand(self, q: Array, goal: FrameGoal) -> tuple[Array, Array, Array]:
-        kinematics, joints = self.kinematics, self.hand.transmission.matrix
-        motion = kinematics(all_joints(self.hand, q))
+        kinematics, transmission = self.kinematics, self.hand.transmission
+        linear = linear_joints(self.hand, q)
+        motion = kinematics(transmission.curved(linear))
         slices = [self._groups[term.points()] for term in self.point_terms]
         each = [
             term.expand(motion.points[at], kinematics.jacobian(motion, at), goal)
             for term, at in zip(self.point_terms, slices, strict=True)
         ]
         rows, weighted = _gauss_newton(each, motion)
-        # the kinematics adds to the Hessian along the gradient
-        of_terms = np.concatenate([np.arange(len(motion.points))[at] for at in slices])
-        gradient = jnp.concatenate([one.gradient for one in each])
-        total = jnp.asarray(kinematics.moves[of_terms].T, q.dtype) @ moments(
-            motion.points[of_terms], gradient
-        )
+        # the kinematics adds to the Hessian along the gradient by the points
+        sums: dict[tuple[str, ...], Array] = {}
+        for term, one in zip(self.point_terms, each, strict=True):
+            sums[term.points()] = sums.get(term.points(), 0.0) + one.gradient
+        gradient = jnp.concatenate([*sums.values()])
+        total = jnp.asarray(kinematics.moves.T, q.dtype) @ moments(motion.points, gradient)
         slope, curvature = kinematics.derivatives(motion, total)
-        slope, hessian = before_curves(
-            self.hand, q, kinematics.order, slope, weighted.T @ rows + curvature
-        )
-        joints = joints[np.array(kinematics.order)]
+        hessian = weighted.T @ rows + curvature
+        order = np.array(kinematics.order)
+        if transmission.curves:  # chain rule
+            first, second = (transmission.curved(linear, n)[order] for n in (1, 2))
+            hessian = first[:, None] * hessian * first + jnp.diag(slope * second)
+            slope = slope * first
+        joints = transmission.matrix[order]
         half = contracted(hessian, joints)
         cost, first, second = self.regularisation(q, goal)
         return (
@@ -441,10 +380,6 @@ class Objective:
             contracted(slope, joints) + first,
             contracted(half.T, joints) + second * jnp.eye(len(q), dtype=q.dtype),
         )
-
-    def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
-        """Costs of a few poses. The compiler drops the derivatives."""
-        return jax.vmap(self.value_grad_hess, in_axes=(0, None))(q, goal)[0]
 
 
 def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from smooth_operator.geometry import lengths, smooth_step
 from smooth_operator.hands.hand import Hand
@@ -23,6 +23,7 @@ from smooth_operator.landmarks import BASES, TIPS, finger_landmarks
 from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.flat_hand import flat_hand
 from smooth_operator.retargeting.known_gaps import check_gaps
+from smooth_operator.retargeting.program import FrameClock
 
 _HOLD: Final = 0.2  # time for which thumb and finger keep their distance in a contact [s]
 _STEADY: Final = 0.022  # variation of that distance to either side that is allowed [palm lengths]
@@ -71,10 +72,9 @@ class PinchGapState(NamedTuple):
         """
         check_gaps(known or {})
         zero = np.zeros(len(fingers) - 1, np.float32)
-        if known is None:
-            return cls(*jax.device_put([zero] * 6))
-        start = np.array([known.get(name, 0.0) for name in fingers[1:]], np.float32)
-        return cls(*jax.device_put([zero, zero, zero, start, start, start + np.float32(_MORE)]))
+        start = np.array([(known or {}).get(name, 0.0) for name in fingers[1:]], np.float32)
+        most = zero if known is None else start + np.float32(_MORE)
+        return cls(*jax.device_put([zero, zero, zero, start, start, most]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +91,7 @@ class PinchGapEstimate:
         return scale * float(np.linalg.norm(flat[BASES[2]] - flat[0]))
 
     def step(
-        self,
-        state: PinchGapState,
-        aligned: Float[Array, "21 3"],
-        dt: Float[Array, ""],
-        restart: Bool[Array, ""],
+        self, state: PinchGapState, aligned: Float[Array, "21 3"], clock: FrameClock
     ) -> tuple[PinchGapState, Float[Array, "21 3"]]:
         """Returns the state after a frame and its landmarks with closed pinches; traceable.
 
@@ -106,8 +102,7 @@ class PinchGapEstimate:
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
-            dt: time since the last frame [s].
-            restart: True if there is no previous frame, or if it is too old to count as motion.
+            clock: time since the last frame.
         """
         joints = np.array(finger_landmarks(self.hand.fingers[1:]))
         at = joints[:, -1]
@@ -116,7 +111,7 @@ class PinchGapEstimate:
         extension = lengths(chains[:, -1] - chains[:, 0], _TINY) / bones
         apart = (aligned[at] - aligned[TIPS[0]]) / self.palm
         distance = lengths(apart, _TINY)
-        state = self._estimated(state, distance, extension, dt, restart)
+        state = self._estimated(state, distance, extension, clock)
         unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
         spread = np.array([_SPREAD[name] for name in self.hand.fingers[1:]])
         over = (1 + spread) * state.closed / distance
@@ -132,12 +127,12 @@ class PinchGapEstimate:
         state: PinchGapState,
         distance: Float[Array, " P"],
         extension: Float[Array, " P"],
-        dt: Float[Array, ""],
-        restart: Bool[Array, ""],
+        clock: FrameClock,
     ) -> PinchGapState:
         """Updates the state with a frame's thumb distances [palm lengths] and extensions."""
         level = jnp.clip(state.level, distance - _STEADY, distance + _STEADY)
-        held = jnp.where((level == state.level) & ~restart, state.held + dt, 0.0)
+        keeps = (level == state.level) & ~clock.restart
+        held = jnp.where(keeps, state.held + clock.dt, 0.0)
         remaining = distance - state.closed
         others = jnp.where(np.eye(len(distance), dtype=bool), jnp.inf, remaining).min(-1)
         contact = (held >= _HOLD) & (state.held < _HOLD) & (distance < state.most)
@@ -149,5 +144,5 @@ class PinchGapEstimate:
         moved = jnp.where(state.gap > 0, state.gap + share * (distance - state.gap), first)
         gap = jnp.where(contact, moved, state.gap)
         last = jnp.where(contact, distance, state.last)
-        closed = state.closed + dt / (dt + _LEAD) * (gap - state.closed)
+        closed = state.closed + clock.dt / (clock.dt + _LEAD) * (gap - state.closed)
         return PinchGapState(level, held, last, gap, closed, state.most)

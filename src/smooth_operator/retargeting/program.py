@@ -39,8 +39,6 @@ from smooth_operator.types import Status
 _WORDS: Final = tuple(map(np.dtype, ("float32", "int32", "uint32", "bool")))
 """Kinds of arrays that fit into an array of float32 bit for bit."""
 
-_EMPTY: Final = np.zeros(0, np.float32)
-
 
 class FrameState(NamedTuple):
     """The state as trees of arrays, for traceable functions.
@@ -77,13 +75,12 @@ class StateLayout:
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
         """One array with the bits of all 32-bit leaves, and the other leaves; NumPy or JAX."""
-        words: list[Any] = []
-        others: list[Any] = []
-        for leaf, kind in zip(jax.tree.leaves(state), self.kinds, strict=True):
-            (words if kind in _WORDS else others).append(leaf)
-        xp = array_namespace(*words)
-        parts = [_as(xp.asarray(leaf).ravel(), np.dtype(np.float32)) for leaf in words]
-        return xp.concatenate(parts or [_EMPTY]), tuple(others)
+        leaves = [*zip(jax.tree.leaves(state), self.kinds, strict=True)]
+        words = [(leaf, kind) for leaf, kind in leaves if kind in _WORDS]
+        xp = array_namespace(*(leaf for leaf, _ in words))
+        parts = [_as(xp.asarray(leaf, kind).ravel(), np.dtype(np.float32)) for leaf, kind in words]
+        others = tuple(leaf for leaf, kind in leaves if kind not in _WORDS)
+        return xp.concatenate(parts), others
 
     def unpack(
         self, words: Float[Array, " n"] | Float[np.ndarray, " n"], others: tuple[Any, ...]
@@ -136,11 +133,6 @@ class RetargetState:
     def method(self) -> Any:
         """State of the method."""
         return self.trees.method
-
-    @property
-    def q(self) -> Float[np.ndarray, " m"]:
-        """(m,) last good command of the actuated joints [rad]."""
-        return np.asarray(self.trees.q)
 
 
 def _as(part: Any, kind: np.dtype) -> Any:
@@ -239,27 +231,21 @@ def frame_program(
     ) -> tuple[Array, tuple[Any, ...], Array]:
         palm, before = align_frame(method, config.alignment, landmarks, valid), (words, others)
 
-        def solved() -> tuple[Any, Any, Array, Array]:
-            last = layout.unpack(words, others)
-            after, output = method.step(last.method, palm.aligned, ticks)
-            finite = jnp.isfinite(output.q).all()
-            # a frame does not change the state unless its status is OK
-            following = jax.tree.map(
-                lambda new, old: jnp.where(finite, new, old).astype(old.dtype),
-                FrameState(after, jnp.asarray(output.q)),
-                last,
-            )
-            status = jnp.where(finite, int(Status.OK), int(Status.SOLVER_FAILED))
+        def solved() -> tuple[Any, Array, Array]:
+            after, output = method.step(layout.unpack(*before).method, palm.aligned, ticks)
             loss = jnp.asarray(output.tracking_loss, jnp.float32)
-            return layout.pack(following), following.q, status, loss
+            return layout.pack(FrameState(after, output.q)), jnp.isfinite(output.q).all(), loss
 
-        def refused() -> tuple[Any, Any, Array, Array]:
-            return before, layout.unpack(*before).q, palm.status, jnp.float32(jnp.nan)
+        def refused() -> tuple[Any, Array, Array]:
+            return before, jnp.bool_(True), jnp.float32(jnp.nan)
 
         # A solver would take longest with implausible landmarks. A branch copies its inputs and
         # outputs array by array, so the state stays in one array.
-        after, *result = lax.cond(palm.status == Status.OK, solved, refused)
-        return *after, packed_result(*result, palm.scale)
+        after, finite, loss = lax.cond(palm.status == Status.OK, solved, refused)
+        # a frame does not change the state unless its status is OK
+        after = jax.tree.map(lambda new, old: jnp.where(finite, new, old), after, before)
+        status = jnp.where(finite, palm.status, Status.SOLVER_FAILED)
+        return *after, packed_result(layout.unpack(*after).q, status, loss, palm.scale)
 
     run = compiling(frame, "frame")
 

@@ -19,6 +19,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.geometry import lengths
+from smooth_operator.hands.differential import PointKinematics, linear_joints
 from smooth_operator.hands.finger_circles import SHORTER, bends_past_straight
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.pose_table import PoseTable
@@ -48,9 +49,8 @@ from smooth_operator.retargeting.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
     FingerSpread,
-    FingertipMotion,
-    FingertipPosition,
     FingertipPositionConfig,
+    FingertipTracking,
     PadDirection,
     SelfCollision,
     SelfCollisionConfig,
@@ -134,6 +134,7 @@ class SmoothState(NamedTuple):
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
+        reach: (F, 3) vectors from the wrist to the fingertips at that command [m].
         operator: lengths of the operator's fingers; empty without a correspondence.
         gaps: gaps that the tracker leaves in pinches.
         filtered: the fingertip filter's state, of the needed landmarks.
@@ -145,6 +146,7 @@ class SmoothState(NamedTuple):
     """
 
     q: Float[Array, " m"]
+    reach: Float[Array, "F 3"]
     operator: CorrespondenceState | tuple[()]
     gaps: PinchGapState
     filtered: FilterState
@@ -161,9 +163,9 @@ class Smooth(Method):
     Attributes:
         hand: the robot hand.
         config: settings.
-        motion: the term of fingertip motion.
         objective: the terms to minimise: those of Eq. (1), and six more.
         layout: the vectors from wrist and thumb's tip to the fingertips, which the terms need.
+        points: kinematics of the wrist and the fingertips.
         closing: closes the gaps of a tracker in pinches.
         correspondence: correspondence of human and robot fingers.
         pose_table: start poses for frames without a last command.
@@ -173,18 +175,17 @@ class Smooth(Method):
 
     def __init__(self, hand: Hand, config: SmoothConfig) -> None:
         self.hand, self.config = hand, config
-        vectors = Objective(hand, config.objective).keyvectors.vectors
-        self.motion = FingertipMotion(hand)
+        layout = Objective(hand, config.objective).layout
         terms = (
-            self.motion,
-            FingertipPosition(vectors, config.fingertip_position),
-            DirectionLength(vectors, config.direction_length),
+            FingertipTracking(layout, config.fingertip_position),
+            DirectionLength(layout, config.direction_length),
             SelfCollision(hand, config.self_collision),
             FingerSpread(hand, config.spread_weight),
             PadDirection(hand, config.pad_weight),
         )
         self.objective = Objective(hand, config.objective, terms)
-        self.layout = cast(KeyvectorLayout, self.objective.layout)
+        self.layout = cast(KeyvectorLayout, layout)
+        self.points = PointKinematics(hand.tree, self.objective.keyvectors.points())
         self.closing = PinchGapEstimate(hand)
         self.correspondence = Correspondence(hand, config.correspondence)
         self.pose_table = PoseTable(hand)
@@ -197,12 +198,13 @@ class Smooth(Method):
     def init(self, seed: int) -> SmoothState:
         """State with the neutral pose; the method uses no random numbers."""
         del seed
-        put = jax.device_put  # does not compile
-        neutral = put(self.hand.neutral.astype(np.float32))
+        hand, put = self.hand, jax.device_put  # which does not compile
+        reach = hand.tips(hand.full_configuration(hand.neutral)) - hand.wrist
         return SmoothState(
-            neutral,
+            put(hand.neutral.astype(np.float32)),
+            put(reach.astype(np.float32)),
             () if is_off(self.config.correspondence.share) else self.correspondence.init(),
-            PinchGapState.of(self.hand.fingers, {}),
+            PinchGapState.of(hand.fingers, {}),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
             *put((np.uint32(0), np.uint32(0), np.float32(0), np.float32(1))),
@@ -244,10 +246,10 @@ class Smooth(Method):
         clock = FrameClock.of(now - state.ticks, state.frames)
 
         # fingertips without the tracker's pinch gaps, jumps and shake
-        gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
+        gaps, closed = self.closing.step(state.gaps, aligned, clock)
         measured = closed[np.array(self.needs)]  # the wrist and the fingertips
-        filtered, still = filter_fingertips(
-            state.filtered, measured, clock.dt, config.fingertips, clock.restart
+        filtered, still, steps = filter_fingertips(
+            state.filtered, measured, config.fingertips, clock
         )
         tips, speeds = filtered.followed[1:], still[1:] - still[0]
         leaps = lengths((measured - state.filtered.followed)[1:]) > LEAP[0] + LEAP[1] * clock.dt
@@ -257,54 +259,45 @@ class Smooth(Method):
         origin = jnp.asarray(self.hand.wrist, aligned.dtype)
         operator, places, moves = state.operator, tips - filtered.followed[0] + origin, speeds
         if operator:  # a tuple of arrays; empty without a correspondence
-            steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
             operator, moves = self.correspondence.step(
-                operator, aligned, tips, speeds, steps[1:] - steps[0], clock.dt, clock.restart
+                operator, aligned, tips, speeds, steps[1:] - steps[0], clock
             )
             places = operator.places
         table, possible = self.pose_table.nearest(places)
+        policy, human = config.objective.targets, jnp.concatenate([origin[None], places])
+        targets, latches = policy(state.targets, self.layout, self.layout.among(human))
 
-        def beyond(tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
+        def beyond(reach: Float[Array, "F 3"]) -> Float[Array, " F"]:
             """Distance of fingertips from their targets, beyond that of the table's pose [m]."""
-            return jnp.maximum(lengths(tips - places) - possible, 0.0)
+            return jnp.maximum(lengths(reach + origin - places) - possible, 0.0)
 
         # weights; the coupling between two frames decreases with the time between them
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         slow = 1 / (1 + (lengths(speeds, 1e-18) / clock.dt / config.motion_speed) ** 2)
-        policy, human = config.objective.targets, self.layout.of_tips(places, origin)
-        targets, latches = policy(state.targets, self.layout, human)
         latched = policy.latched(latches)
         latched = jnp.zeros(len(tips) - 1, bool) if latched is None else latched
         pinching = slow * jnp.concatenate([latched.any()[None], latched])
         damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
-        arrival, weights = self.motion.tips(state.q) + moves, config.motion_weight * holds * slow
+        reach, weights = state.reach + moves, config.motion_weight * holds * slow
         if operator:  # the targets are within reach, so a lasting error means a wrong pose
-            weights = weights / (1 + (beyond(arrival) / ASTRAY) ** 4)
+            weights = weights / (1 + (beyond(reach) / ASTRAY) ** 4)
         pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
         pad = pad / lengths(pad, 1e-12)
         damping = config.pinch_damping * holds * damped
-        goal = FrameGoal(*targets, state.q, damping, arrival, weights, pad)
+        goal = FrameGoal(*targets, state.q, damping, reach, weights, pad)
 
         forget = clock.restart | ((state.leapt < SETTLED) & (leapt >= SETTLED))
         search = state.astray > PATIENCE
         q = self.solve(goal, table, forget, search)
 
-        reached = self.motion.tips(q)
-        lost = (beyond(reached) > ASTRAY).any() & ~search & bool(operator)
-        keyvectors = self.objective.keyvectors
-        errors = keyvectors.vectors.at(reached) - goal.vectors
-        after = SmoothState(
-            q,
-            operator,
-            gaps,
-            filtered,
-            latches,
-            now,
-            state.frames + jnp.uint32(1),
-            jnp.where(lost, state.astray + clock.dt, 0.0),
-            leapt,
-        )
-        return after, MethodOutput(q, keyvectors.slopes(errors, goal).cost)
+        joints = self.hand.transmission.curved(linear_joints(self.hand, q))
+        vectors = self.layout.among(self.points(joints).points)
+        loss = self.objective.keyvectors.slopes(vectors - goal.vectors, goal).cost
+        reach, frames = vectors[: len(tips)], state.frames + jnp.uint32(1)
+        lost = (beyond(reach) > ASTRAY).any() & ~search & bool(operator)
+        astray = jnp.where(lost, state.astray + clock.dt, 0.0)
+        after = SmoothState(q, reach, operator, gaps, filtered, latches, now, frames, astray, leapt)
+        return after, MethodOutput(q, loss)
 
     def solve(
         self,
@@ -334,7 +327,6 @@ class Smooth(Method):
             )
             end, cost, _ = damped_newton(
                 lambda one: self.objective.value_grad_hess(one, now),
-                lambda few: self.objective.values(few, now),
                 jnp.clip(jnp.stack([last, pose, table, neutral])[start], *limits.T),
                 limits,
                 self.config.iterations,

@@ -20,12 +20,11 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.retargeting.objective import (
     TRANSITION,
+    Derivatives,
     FrameGoal,
-    JointCost,
     JointTerm,
     PointTerm,
     Quadratic,
-    VectorSlopes,
     VectorTerm,
 )
 from smooth_operator.settings import check_numbers, is_off
@@ -36,43 +35,6 @@ _SHORT: Final = 0.002
 """Smoothing length of vectors, because a vector of length 0 has no direction [m]."""
 _LEAST: Final = 0.25
 """Fraction of the curvature that is kept if a vector points away, where it is negative."""
-
-
-@dataclass(frozen=True, eq=False)
-class FingertipMotion(PointTerm):
-    """Cost term that makes fingertips copy the human's motion, whatever their position error: sum
-    of mu_i / (2 beta) |p_i - t_i|^2 with the goal's ``motion_weights`` mu and ``tips`` t.
-
-    Attributes:
-        hand: the robot hand.
-    """
-
-    hand: Hand
-
-    def points(self) -> tuple[str, ...]:
-        """Fingertips, thumb first."""
-        return self.hand.tip_names
-
-    def expand(
-        self, points: Float[Array, "F 3"], jacobian: Float[Array, "F J 3"], goal: FrameGoal
-    ) -> Quadratic:
-        """See ``PointTerm``; exact."""
-        weights = jnp.repeat(jnp.asarray(goal.motion_weights) / TRANSITION, 3)
-        error = points - jnp.asarray(goal.tips)
-        return Quadratic(
-            0.5 * (weights * (error * error).reshape(-1)).sum(),
-            weights.reshape(error.shape) * error,
-            jnp.swapaxes(jacobian, 1, 2).reshape(-1, jacobian.shape[1]),
-            weights,
-        )
-
-    def tips(self, q: Float[Array, " m"]) -> Float[Array, "F 3"]:
-        """Fingertips at a pose within the limits [m]."""
-        tree = self.hand.tree
-        points = tree.forward_kinematics(
-            self.hand.full_configuration_rows(list(q)), self.points(), within_limits=True
-        )
-        return jnp.stack([jnp.stack([jnp.asarray(c, q.dtype) for c in point]) for point in points])
 
 
 @dataclass(frozen=True)
@@ -94,34 +56,33 @@ class FingertipPositionConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class FingertipPosition(VectorTerm):
-    """Cost term that removes small position errors of fingertips completely.
+class FingertipTracking(VectorTerm):
+    """Cost term that makes fingertips follow the human's, on the vectors v from the wrist.
 
-    It is bounded: a fingertip that is far from the human's because of different bones is not
-    pulled, and copies the human's motion.
+    - Motion: sum of mu_i / (2 beta) |v_i - r_i|^2 with the goal's ``motion_weights`` mu and
+      ``reach`` r makes fingertips copy the human's motion, whatever their position error.
+    - Position: small position errors are removed completely. This cost is bounded: a fingertip that
+      is far from the human's because of different bones is not pulled.
 
     Attributes:
-        config: settings.
+        config: settings of the cost of position.
     """
 
     part = "wrist"
 
     config: FingertipPositionConfig
 
-    @property
-    def is_off(self) -> bool:
-        """True without a weight."""
-        return is_off(self.config.weight)
-
-    def slopes(self, errors: Float[Array, "F 3"], goal: FrameGoal) -> VectorSlopes:
+    def slopes(self, errors: Float[Array, "F 3"], goal: FrameGoal) -> Derivatives:
         """See ``VectorTerm``."""
         squared = (errors * errors).sum(-1)
         share = 1 / (1 + squared / self.config.width**2)
         stiffness = self.config.weight / TRANSITION
-        weights = stiffness * share**2
-        cost = 0.5 * stiffness * (squared * share).sum()
-        return VectorSlopes(
-            cost, weights[:, None] * errors, jnp.repeat(weights, 3).reshape(errors.shape)
+        behind = errors + goal.vectors[self.which] - jnp.asarray(goal.reach)
+        position, motion = stiffness * share**2, jnp.asarray(goal.motion_weights) / TRANSITION
+        return Derivatives(
+            0.5 * (stiffness * squared * share + motion * (behind * behind).sum(-1)).sum(),
+            position[:, None] * errors + motion[:, None] * behind,
+            jnp.repeat(position + motion, 3).reshape(errors.shape),
         )
 
 
@@ -204,11 +165,11 @@ class FingerSpread(JointTerm):
         weights: np.ndarray = np.where(spread_joints(self.hand) & beyond, self.weight, 0.0)
         return weights.astype(np.float32)
 
-    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
         """See ``JointTerm``."""
         off, weights = q - self.hand.neutral.astype(np.float32), self._weights
         excess = off - off.clip(-SPREAD, SPREAD)
-        return JointCost(
+        return Derivatives(
             (weights * excess**2).sum(axis=-1), 2 * weights * excess, 2 * weights * (excess != 0)
         )
 
@@ -250,12 +211,7 @@ class DirectionLength(VectorTerm):
 
     config: DirectionLengthConfig
 
-    @property
-    def is_off(self) -> bool:
-        """True if both costs are left out."""
-        return is_off(self.config.direction) and is_off(self.config.length)
-
-    def slopes(self, errors: Float[Array, "P 3"], goal: FrameGoal) -> VectorSlopes:
+    def slopes(self, errors: Float[Array, "P 3"], goal: FrameGoal) -> Derivatives:
         """See ``VectorTerm``."""
         config, targets = self.config, jnp.asarray(goal.vectors)[self.which]
         # error + target, not the vectors themselves: a compiler shares the error with the keyvector
@@ -272,7 +228,7 @@ class DirectionLength(VectorTerm):
         rounded = jnp.sqrt(longer * longer + config.huber_width**2)
         # the second derivative of the parabola that touches the cost on both sides: not too little
         length_weight = slope / rounded
-        return VectorSlopes(
+        return Derivatives(
             (cost + slope * (rounded - config.huber_width)).sum(),
             turn + (length_weight * longer)[:, None] * unit,
             curvature[:, None, None] * across + length_weight[:, None, None] * along,

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyArray, AnyKind, array_namespace, lengths
+from smooth_operator.geometry import AnyKind, array_namespace, lengths
 from smooth_operator.landmarks import WRIST, finger_landmarks
 from smooth_operator.settings import check_numbers
 
@@ -55,7 +55,7 @@ class KeyvectorLayout(VectorLayout):
     """The paper's keyvectors; built from a hand's fingers, not listed.
 
     Order: wrist to each tip (F), thumb tip to each other tip (F - 1), then tip to tip among the
-    other fingers; 15 for five fingers, 6 for three. Point 0 is the wrist, point i the i-th tip.
+    other fingers; 15 for five fingers, 6 for three. The wrist is the first landmark, then the tips.
 
     Attributes:
         fingers: human finger names, thumb first.
@@ -68,28 +68,14 @@ class KeyvectorLayout(VectorLayout):
     @cached_property
     def vectors(self) -> tuple[tuple[int | None, int], ...]:
         """(K,) (from, to) landmark indices."""
-        points = (WRIST, *tips_of(self.fingers))
-        return tuple((points[i], points[j]) for i, j in self.pairs)
-
-    @cached_property
-    def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(K,) (from, to) over the points wrist, tip 1 .. tip F."""
-        count = len(self.fingers)
-        every = tuple(combinations(range(count + 1), 2))  # those of the wrist first, then the thumb
-        return every if self.between_fingers else every[: 2 * count - 1]
+        every = tuple(combinations((WRIST, *tips_of(self.fingers)), 2))
+        return every if self.between_fingers else every[: self.thumb.stop]
 
     @property
     def thumb(self) -> slice:
         """The thumb-to-finger keyvectors."""
         count = len(self.fingers)
         return slice(count, 2 * count - 1)
-
-    def of_tips(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
-        """(..., K, 3) keyvectors [m], from (..., F, 3) fingertips and the (3,) wrist [m]."""
-        xp = array_namespace(tips)
-        base = xp.broadcast_to(wrist, (*tips.shape[:-2], 1, 3))
-        points: AnyKind = xp.concatenate([base, tips], axis=-2)
-        return self.among(points)
 
 
 def tips_of(fingers: Sequence[str]) -> tuple[int, ...]:

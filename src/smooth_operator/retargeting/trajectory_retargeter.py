@@ -30,7 +30,7 @@ from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.objective import TRANSITION, FrameGoal, Objective
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
-from smooth_operator.retargeting.program import LONGEST_GAP, align_frame
+from smooth_operator.retargeting.program import LONGEST_GAP, FrameClock, align_frame
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_solver import (
     JOINED,
@@ -94,7 +94,7 @@ class TrajectoryRetargeter:
                 state: PinchGapState, frame: tuple[Array, Array, Array]
             ) -> tuple[PinchGapState, Array]:
                 points, dt, usable = frame
-                after, points = closing.step(state, points, dt, dt > LONGEST_GAP)
+                after, points = closing.step(state, points, FrameClock(dt, dt > LONGEST_GAP))
                 return jax.tree.map(lambda a, b: jnp.where(usable, a, b), after, state), points
 
             return jax.lax.scan(one, state, (points, dt, usable))

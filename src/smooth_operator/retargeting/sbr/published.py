@@ -14,14 +14,19 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.objective import (
     TRANSITION,
+    Derivatives,
     FrameGoal,
     JointTerm,
     Keyvectors,
-    RobotVectors,
     TermsConfig,
-    VectorSlopes,
 )
-from smooth_operator.retargeting.targets import KeyvectorLayout, LayoutT, TargetPolicy, Targets
+from smooth_operator.retargeting.targets import (
+    KeyvectorLayout,
+    LayoutT,
+    TargetPolicy,
+    Targets,
+    VectorLayout,
+)
 from smooth_operator.settings import check_choice, check_numbers
 
 Loss: TypeAlias = Literal["smooth_l1", "squared"]
@@ -33,7 +38,7 @@ def base_weights(
     layout: KeyvectorLayout, wrist: float, thumb: float, between: float
 ) -> Float[np.ndarray, " K"]:
     """(K,) weights, from those of the vectors from the wrist, the thumb and between fingers."""
-    weights = np.full(len(layout.pairs), between)
+    weights = np.full(len(layout.vectors), between)
     weights[: len(layout.fingers)] = wrist
     weights[layout.thumb] = thumb
     return weights
@@ -165,7 +170,7 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         # share of each keyvector as a closed thumb vector, and as one between latched fingers
         i, j = np.triu_indices(len(closure), 1)
         fingers = len(layout.fingers)
-        closed = jnp.zeros(len(layout.pairs), human.dtype).at[layout.thumb].set(closure)
+        closed = jnp.zeros(len(layout.vectors), human.dtype).at[layout.thumb].set(closure)
         both = jnp.zeros_like(closed).at[2 * fingers - 1 :].set(jnp.minimum(closure[i], closure[j]))
         held = closed + both  # of different keyvectors
         eta = closed * self.eta1 + both * self.eta2
@@ -182,11 +187,11 @@ class SquaredKeyvectors(Keyvectors):
         """See ``Keyvectors``."""
         return weight * (error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
 
-    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
         """See ``VectorTerm``; exact."""
         double = 2 * jnp.asarray(goal.weights)[:, None]
         cost = 0.5 * (double * errors * errors).sum()
-        return VectorSlopes(cost, double * errors, double * jnp.ones_like(errors))
+        return Derivatives(cost, double * errors, double * jnp.ones_like(errors))
 
 
 KEYVECTORS: Final[dict[Loss, type[Keyvectors]]] = {
@@ -223,9 +228,9 @@ class ObjectiveConfig(TermsConfig):
         check_choice(self, "pose_centre", ("neutral", "zero"))
         check_numbers(self, positive=("transition",))
 
-    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+    def keyvectors(self, layout: VectorLayout) -> Keyvectors:
         """First term of Eq. (1), with the penalty of the settings."""
-        return KEYVECTORS[self.loss](vectors, self.transition)
+        return KEYVECTORS[self.loss](layout, self.transition)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
         """The second and third terms of Eq. (1), for a hand with this neutral pose [rad]."""

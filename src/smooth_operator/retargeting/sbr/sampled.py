@@ -9,14 +9,12 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Sequence
-from typing import cast
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smooth_operator.hands.kinematics import Vector
-from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.retargeting.objective import FrameGoal, Keyvectors, Objective, PointTerm, Pull
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 
@@ -88,13 +86,9 @@ def _cost(term: PointTerm, points: Sequence[Vector], goal: FrameGoal) -> Array:
 
 def _keyvector_cost(term: Keyvectors, points: Sequence[Vector], goal: FrameGoal) -> Array:
     """Cost of the keyvectors, written out so that the compiler fuses it with the kinematics."""
-    hand, layout = term.vectors.hand, term.vectors.layout
-    at: dict[int | None, Sequence[Array | float]] = {None: (0.0, 0.0, 0.0)}
-    for i in layout.landmarks:
-        at[i] = tuple(map(float, hand.tree.keypoints[LANDMARKS[i]].position))
-    at |= dict(zip(term.vectors.moving, cast(Sequence[Sequence[Array]], points), strict=True))
+    at = dict(zip(term.layout.landmarks, points, strict=True)) | {None: (0.0, 0.0, 0.0)}
     total: Array = jnp.zeros((), goal.vectors.dtype)
-    for k, (start, end) in enumerate(layout.vectors):
+    for k, (start, end) in enumerate(term.layout.vectors):
         error = [jnp.asarray(at[end][c] - at[start][c]) - goal.vectors[k, c] for c in range(3)]
         total = total + term.price(error, goal.weights[k])
     return total
