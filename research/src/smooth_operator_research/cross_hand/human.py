@@ -6,7 +6,8 @@ closes until thumb and fingers would touch the object, and closes further, so th
 copies it presses. Then the wrist carries the object.
 
 Wrist path and synergy were tuned on ``mimic_p050``, ``wuji_hand`` and ``leap_hand`` with the method
-``smooth`` in worlds 1000 to 1019; other hands, methods and worlds had no part in it.
+``smooth`` in worlds 1000 to 1011, the height of the grip on the cylinder also on ``orca_v2`` and
+``schunk_svh``; other hands, methods and worlds had no part in it.
 """
 
 from __future__ import annotations
@@ -224,7 +225,7 @@ def pitched(angle: float) -> Float[np.ndarray, "4"]:
 
 
 _WIDTHS: Final = {"ball": 0.070, "cylinder": 0.050, "cube": 0.040}
-_LIFT: Final = {"ball": 0.0, "cylinder": 0.015, "cube": 0.0}  # grip above the object's centre [m]
+_LIFT: Final = {"ball": 0.0, "cylinder": 0.022, "cube": 0.0}  # grip above the object's centre [m]
 _PITCH: Final = np.radians(25.0)
 _WIDE: Final = 0.045  # opening beyond the object's width [m]
 _ABOVE: Final = 0.08  # height from which the hand goes down [m]
