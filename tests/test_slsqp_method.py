@@ -192,9 +192,8 @@ def test_both_sides(retargeter):
 @pytest.mark.parametrize(
     "name",
     [
-        "dexpilot",
         "ako",
-        *(pytest.param(name, marks=pytest.mark.weekly) for name in ("keyvector", "hybrid")),
+        *(pytest.param(name, marks=pytest.mark.weekly) for name in METHODS if name != "ako"),
     ],
 )
 def test_fast_finds_the_minima_of_the_published_objective_in_fewer_evaluations(

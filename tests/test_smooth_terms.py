@@ -60,7 +60,7 @@ def test_what_the_measure_calls_a_collision_has_a_price(name, side):
     hand = load_hand(name, side)
     pairs, margin = capsule_pairs(hand), SelfCollisionConfig().margin
     assert len(pairs.pairs) <= MOST
-    q = np.random.default_rng(1).uniform(*hand.limits.T, (250, len(hand.limits)))
+    q = np.random.default_rng(1).uniform(*hand.limits.T, (120, len(hand.limits)))
     measured = penetration_depths(hand, hand.full_configuration(q))
     deep = measured > 0.002
     assert deep.mean() > 0.03  # such poses are among them

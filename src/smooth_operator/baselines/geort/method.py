@@ -263,8 +263,8 @@ class GeortModel:
             compare(f"the {finger} joints", list(names), driven)
             if np.abs(limits - found).max() > _SAME_ANGLE:
                 compare(f"{finger} limits [rad] of", limits.tolist(), found.tolist())
-        tips = hand.tips(hand.full_configuration(self.poses))
-        away = float(np.abs(tips - self.tips * (_MIRROR if mirrored else 1.0)).max())
+        tips = self.tips * _MIRROR if mirrored else self.tips
+        away = float(np.abs(hand.tips(hand.full_configuration(self.poses)) - tips).max())
         if away > _SAME_PLACE:
             refuse(
                 f"; the {hand.spec.side} hand {hand.name!r} does not match "
