@@ -82,6 +82,25 @@ def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make):
     np.testing.assert_allclose(seen["agent_pos"], hand.neutral, atol=0.1)
 
 
+def test_targets_move_linearly_from_one_action_to_the_next(make, monkeypatch):
+    """A step of all targets at 25 Hz would shake an object out of the fingers."""
+    environment = make(task="card", fps=25)
+    environment.reset(seed=0)
+    targets: list[np.ndarray] = []
+    monkeypatch.setattr(
+        ScenePhysics, "command", lambda self, joints: targets.append(np.array(joints))
+    )
+    hand = environment.hand
+    low, high = hand.limits.T
+    environment.step((low + high) / 2)
+    ways = np.array(targets)[:, list(hand.actuated)]
+    assert len(ways) == 4
+    np.testing.assert_allclose(ways[-1], (low + high) / 2, atol=1e-6)
+    np.testing.assert_allclose(np.diff([hand.neutral, *ways], 2, axis=0), 0.0, atol=1e-6)
+    environment.step(np.full(len(low), np.nan))  # the targets stay
+    np.testing.assert_allclose(targets[-1][list(hand.actuated)], ways[-1], atol=1e-6)
+
+
 def test_a_moving_wrist_goes_where_the_action_says_within_its_speed(make):
     environment = make(task="relocate", hand="leap_hand")
     seen, _ = environment.reset(seed=0)

@@ -13,7 +13,6 @@ from gymnasium import spaces
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.arms.free_wrist import FreeWrist
 from smooth_operator.simulation.camera import SimulatedCamera
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.physics import draw_variation, draw_wrist_variation
@@ -53,12 +52,14 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
     [rad]; ``environment_state``, the (7,) position [m] and quaternion wxyz of the object in the
     world; and, if requested, ``tactile``, the (f,) normal force on each finger, thumb first [N],
     and the picture ``pixels``. An action consists of the (m,) targets of the same joints [rad];
-    they are clipped to the joints' limits. In a task with a moving wrist, ``agent_pos`` and actions
-    go on with six numbers for the wrist: position [m] and rotation vector [rad], relative to the
-    wrist frame at the start (x to the middle finger's base, z out of the back); it moves at most
-    0.5 m/s and 2 rad/s. ``environment_state`` then goes on with the (3,) target [m] and the
-    position of the scene's moving part [m or rad]. The reward is the score of the trial, 0, 0.5 or
-    1, in the last step of an episode; ``info["is_success"]`` is true for a score of 1.
+    they are clipped to the joints' limits. Targets move linearly from one action to the next during
+    a period, because steps at 25 Hz would shake an object out of the fingers. In a task with a
+    moving wrist, ``agent_pos`` and actions go on with six numbers for the wrist: position [m] and
+    rotation vector [rad], relative to the wrist frame at the start (x to the middle finger's base,
+    z out of the back); it moves at most 0.5 m/s and 2 rad/s. ``environment_state`` then goes on
+    with the (3,) target [m] and the position of the scene's moving part [m or rad]. The reward is
+    the score of the trial, 0, 0.5 or 1, in the last step of an episode; ``info["is_success"]`` is
+    true for a score of 1.
 
     The object's start, friction and mass differ in each episode, as in the benchmark's worlds;
     ``reset`` with a seed repeats an episode.
@@ -143,7 +144,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
             np.concatenate([high, wrist]).astype(np.float32),
         )
         self._wrist = self._scene.free_wrist(self.hand) if len(wrist) else None
-        self._wrist_action, self._wrist_target = np.zeros(6), np.zeros(6)
+        self._action, self._wrist_target = self._start, np.zeros(6)
         self._camera: SimulatedCamera | None = None
         self._physics: ScenePhysics | None = None
         self._run: TaskRun | None = None
@@ -161,7 +162,8 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         world = draw(self.np_random, self._variation)
         self._close_camera()
         physics = ScenePhysics(self.hand, world.scene(self._scene), carried=self._wrist)
-        self._wrist_action, self._wrist_target = np.zeros(6), np.zeros(6)
+        self._action = np.concatenate([self._start, np.zeros(0 if self._wrist is None else 6)])
+        self._wrist_target = np.zeros(6)
         world.prepare(physics)
         physics.command(self.hand.full_configuration(self._start))
         physics.put_away()
@@ -172,7 +174,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         return self._observation(physics), {"is_success": False}
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Set targets of the actuated joints, and simulate one period.
+        """Move the targets of the actuated joints to those of the action, and simulate one period.
 
         Args:
             action: (m,) targets [rad], and the (6,) pose of the wrist in tasks that move it. A
@@ -185,17 +187,14 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         if physics is None or run is None or run.phase is not Phase.RUNNING:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         action = np.asarray(action, float)
-        joints = len(self.hand.actuated)
-        physics.command(self.hand.full_configuration(action[:joints]))
-        if self._wrist is not None:
-            wrist = action[joints:]
-            self._wrist_action = np.where(np.isfinite(wrist), wrist, self._wrist_action)
+        before = self._action
+        clipped = np.clip(action, self.action_space.low, self.action_space.high)
+        self._action = np.where(np.isfinite(action), clipped, before)
         looks = math.ceil(LOOKS_HZ / self._fps)
-        resets = physics.resets
-        for _ in range(looks):
-            if self._wrist is not None:
-                self._move_wrist(physics, self._wrist, 1.0 / (self._fps * looks))
-            physics.advance(1.0 / (self._fps * looks))
+        seconds, resets = 1.0 / (self._fps * looks), physics.resets
+        for part in np.linspace(before, self._action, looks + 1)[1:]:
+            self._command(physics, part, seconds)
+            physics.advance(seconds)
             run = run.observe(physics.observe())
         self._steps += 1
         diverged = physics.resets > resets  # such an episode measures nothing
@@ -220,11 +219,15 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         """Free the OpenGL context."""
         self._close_camera()
 
-    def _move_wrist(self, physics: ScenePhysics, wrist: FreeWrist, seconds: float) -> None:
-        """Move the wrist's target towards that of the action, within its speed."""
-        turn = poses.from_rotation_vectors(self._wrist_action[3:])
-        pose = poses.compose(wrist.start, np.concatenate([self._wrist_action[:3], turn]))
-        self._wrist_target = wrist.targets(pose, self._wrist_target, seconds)
+    def _command(self, physics: ScenePhysics, action: np.ndarray, seconds: float) -> None:
+        """Set the targets of the joints, and move that of the wrist within its speed."""
+        joints = len(self.hand.actuated)
+        physics.command(self.hand.full_configuration(action[:joints]))
+        if self._wrist is None:
+            return
+        turn = poses.from_rotation_vectors(action[joints + 3 :])
+        pose = poses.compose(self._wrist.start, np.concatenate([action[joints : joints + 3], turn]))
+        self._wrist_target = self._wrist.targets(pose, self._wrist_target, seconds)
         physics.command_arm(self._wrist_target)
 
     def _observation(self, physics: ScenePhysics) -> Observation:
