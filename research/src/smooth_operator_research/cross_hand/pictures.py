@@ -10,8 +10,9 @@ import numpy as np
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.reporting.drawing import colors_of
-from smooth_operator.simulation.camera import SimulatedCamera
+from smooth_operator.simulation.camera import SimulatedCamera, View
 from smooth_operator.simulation.scenes import ScenePhysics
+from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator_research.cross_hand.matrix import MatrixSettings, tracker_of
 from smooth_operator_research.cross_hand.results import Trial
 from smooth_operator_research.cross_hand.tables import Outcomes, label
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 _WIDTH, _HEIGHT = 240, 180  # size of a picture of a strip [px]
 _LINE: Final = 14  # height of its text [px]
+_FAR_M: Final = 1.0  # distance of the camera from a hand that moves [m]
 
 
 def plot_success(outcomes: Outcomes) -> Figure:
@@ -95,7 +97,8 @@ def _pictures(block: Block, count: int) -> tuple[list[Any], Trial]:
             yield moment
 
     trial = judge(recorded())
-    camera = SimulatedCamera(watched[0], _WIDTH, _HEIGHT)
+    view = View(distance=None if block.task in FIXED_WRIST else _FAR_M)
+    camera = SimulatedCamera(watched[0], _WIDTH, _HEIGHT, view)
     try:
         chosen = np.linspace(0, len(positions) - 1, count).astype(int)
         return [camera.draw(positions[k]) for k in chosen], trial
