@@ -7,6 +7,7 @@ arrays of poses; for a single pose MuJoCo's functions take a tenth of its time.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, sin
@@ -510,12 +511,7 @@ class CarriedHand:
 
     def addresses(self, model: mujoco.MjModel) -> ArmAddresses:
         """Addresses of the arm's joints and servos in a compiled world."""
-        names = [ARM_PREFIX + name for name in self.arm.joint_names]
-        return ArmAddresses(
-            np.array([int(model.joint(name).qposadr[0]) for name in names]),
-            np.array([int(model.joint(name).dofadr[0]) for name in names]),
-            np.array([int(model.actuator(name).id) for name in names]),
-        )
+        return ArmAddresses.of(model, self.arm.joint_names)
 
     @cached_property
     def _inertia(self) -> Float[np.ndarray, " n"]:
@@ -544,6 +540,16 @@ class ArmAddresses:
     qpos: Int[np.ndarray, " n"]
     dofs: Int[np.ndarray, " n"]
     controls: Int[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, joints: Iterable[str]) -> ArmAddresses:
+        """Finds the addresses of joints that have servos, by their names without ``ARM_PREFIX``."""
+        names = [ARM_PREFIX + name for name in joints]
+        return cls(
+            np.array([int(model.joint(name).qposadr[0]) for name in names]),
+            np.array([int(model.joint(name).dofadr[0]) for name in names]),
+            np.array([int(model.actuator(name).id) for name in names]),
+        )
 
 
 class WristKinematics:

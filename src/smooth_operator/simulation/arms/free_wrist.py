@@ -6,7 +6,6 @@ It is the same for every hand: servos of one stiffness, force and speed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final, TypeAlias
 
 import mujoco
@@ -42,9 +41,8 @@ TURN_SPEED: Final = 2.0
 """Largest angular speed of the targets [rad/s]."""
 
 _CARRIAGE: Final = (1.0, 0.01)  # inertia of each slide [kg] and of each hinge [kg m^2]
-_SLIDES: Final = ("x", "y", "z")
+_SLIDES: Final = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 _HINGES: Final = {"pitch": (0, 1, 0), "yaw": (0, 0, 1), "roll": (1, 0, 0)}
-_Y, _Z, _X = (np.array(axis, float) for axis in _HINGES.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +66,6 @@ class FreeWrist:
         """(6,) positions of the slides [m] and hinges [rad] at the start: zeros."""
         return np.zeros(6)
 
-    @cached_property
-    def _to_start(self) -> Float[np.ndarray, "4 4"]:
-        return inverse(matrix_of(self.start))
-
     def attach(self, world: mujoco.MjSpec, hand: mujoco.MjSpec, prefix: str) -> None:
         """Put slides, hinges and servos into a world, and the hand on them.
 
@@ -82,32 +76,24 @@ class FreeWrist:
         body = world.worldbody.add_body(
             name=ARM_PREFIX + FLANGE, pos=self.start[:3], quat=self.start[3:], gravcomp=1.0
         )
-        slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-        for name, axis in zip(_SLIDES, np.eye(3), strict=True):
-            body.add_joint(name=ARM_PREFIX + name, type=slide, axis=axis, armature=_CARRIAGE[0])
-        for name, turn in _HINGES.items():
-            body.add_joint(name=ARM_PREFIX + name, type=hinge, axis=turn, armature=_CARRIAGE[1])
         mount = HandMount(self.hand)
-        wrist_to_model = inverse(mount.model_to_palm @ mount.palm_to_wrist)
-        attach_to_flange(world, hand, wrist_to_model, prefix)
+        model_to_wrist = mount.model_to_palm @ mount.palm_to_wrist
+        attach_to_flange(world, hand, inverse(model_to_wrist), prefix)
         model, data = self.hand.model, mujoco.MjData(self.hand.model)
         mujoco.mj_forward(model, data)
-        away = data.xipos - (mount.model_to_palm @ mount.palm_to_wrist)[:3, 3]
-        turning = float(model.body_mass @ (away**2).sum(axis=1))
-        for name in _SLIDES:
-            mass = _CARRIAGE[0] + float(model.body_mass.sum())
-            add_servo(world, ARM_PREFIX + name, mass, FORCE, BANDWIDTH)
-        for name in _HINGES:
-            add_servo(world, ARM_PREFIX + name, _CARRIAGE[1] + turning, TORQUE, BANDWIDTH)
+        away = ((data.xipos - model_to_wrist[:3, 3]) ** 2).sum(axis=1)
+        slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+        for kind, axes, own, moved, most in (
+            (slide, _SLIDES, _CARRIAGE[0], model.body_mass.sum(), FORCE),
+            (hinge, _HINGES, _CARRIAGE[1], model.body_mass @ away, TORQUE),
+        ):
+            for name, axis in axes.items():
+                body.add_joint(name=ARM_PREFIX + name, type=kind, axis=axis, armature=own)
+                add_servo(world, ARM_PREFIX + name, own + float(moved), most, BANDWIDTH)
 
     def addresses(self, model: mujoco.MjModel) -> ArmAddresses:
         """Addresses of the slides and hinges in a compiled world."""
-        names = [ARM_PREFIX + name for name in (*_SLIDES, *_HINGES)]
-        return ArmAddresses(
-            np.array([int(model.joint(name).qposadr[0]) for name in names]),
-            np.array([int(model.joint(name).dofadr[0]) for name in names]),
-            np.array([int(model.actuator(name).id) for name in names]),
-        )
+        return ArmAddresses.of(model, (*_SLIDES, *_HINGES))
 
     def targets(
         self, pose: Pose, before: Float[np.ndarray, "6"], seconds: float
@@ -121,7 +107,7 @@ class FreeWrist:
             before: (6,) previous targets.
             seconds: time since the previous targets [s]; infinity for no limit.
         """
-        goal = self._to_start @ matrix_of(pose)
+        goal = inverse(matrix_of(self.start)) @ matrix_of(pose)
         pitch = np.arctan2(-goal[2, 0], goal[0, 0])
         yaw = np.arcsin(np.clip(goal[1, 0], -1.0, 1.0))
         roll = np.arctan2(-goal[1, 2], goal[1, 1])
@@ -135,8 +121,8 @@ class FreeWrist:
         """Returns the (7,) pose of the wrist frame in the world at positions of slides and
         hinges."""
         turn = np.array([1.0, 0.0, 0.0, 0.0])
-        for axis, angle in zip((_Y, _Z, _X), positions[3:], strict=True):
-            turn = poses.multiply(turn, poses.from_rotation_vectors(axis * angle))
+        for vector in positions[3:, None] * np.array([*_HINGES.values()], float):
+            turn = poses.multiply(turn, poses.from_rotation_vectors(vector))
         return poses.compose(self.start, np.concatenate([positions[:3], turn]))
 
 

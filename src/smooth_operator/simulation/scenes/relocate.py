@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final, NamedTuple, Self
+from typing import ClassVar, Final, Self
 
 import mujoco
 import numpy as np
@@ -14,29 +13,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.scenes.scene import add_shape
 from smooth_operator.simulation.scenes.table_scene import TOP, TableScene, mount_over
 
-
-class Shape(NamedTuple):
-    """A shape of the object.
-
-    Attributes:
-        kind: MuJoCo's shape.
-        size: half lengths, or radius and half length [m].
-        height: height of the centre above the table [m].
-        mass: mass [kg].
-    """
-
-    kind: mujoco.mjtGeom
-    size: Sequence[float]
-    height: float
-    mass: float
-
-
-SHAPES: Final[dict[str, Shape]] = {
-    "ball": Shape(mujoco.mjtGeom.mjGEOM_SPHERE, (0.035,), 0.035, 0.18),
-    "cylinder": Shape(mujoco.mjtGeom.mjGEOM_CYLINDER, (0.025, 0.05), 0.05, 0.12),
-    "cube": Shape(mujoco.mjtGeom.mjGEOM_BOX, (0.02, 0.02, 0.02), 0.02, 0.06),
+SHAPES: Final = {
+    "ball": (mujoco.mjtGeom.mjGEOM_SPHERE, np.array([0.035]), 0.18),
+    "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, np.array([0.025, 0.05]), 0.12),
+    "cube": (mujoco.mjtGeom.mjGEOM_BOX, np.array([0.02, 0.02, 0.02]), 0.06),
 }
-"""Name -> shape. Ball: size and mass of Adroit's (Gymnasium-Robotics ``relocate``)."""
+"""Name -> kind of shape, radius or half lengths [m], the last one upright, and mass [kg]. The ball
+has the size and mass of Adroit's (Gymnasium-Robotics ``relocate``)."""
 
 _TARGET: Final = (0.0, 0.15, 0.22)  # from the object's place on the table to the target [m]
 _ABOVE: Final = 0.20  # height of the grasp centre above the table at the start [m]
@@ -62,7 +45,7 @@ class RelocateScene(TableScene):
         """See ``Scene.varied``."""
         name = list(SHAPES)[shape % len(SHAPES)]
         (x, y, _), turn = self.start
-        start = (np.array([x, y, TOP + self.scale * SHAPES[name].height]), turn)
+        start = (np.array([x, y, TOP + self.scale * SHAPES[name][1][-1]]), turn)
         return replace(self, shape=name, start=start, target=self.target + shift)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
@@ -80,13 +63,13 @@ class RelocateScene(TableScene):
 
     def add_object(self, body: mujoco.MjsBody) -> None:
         """The ball, cylinder or cube."""
-        shape = SHAPES[self.shape]
+        kind, size, mass = SHAPES[self.shape]
         add_shape(
             body,
             self.shape,
-            shape.kind,
-            np.array(shape.size) * self.scale,
-            mass=shape.mass * self.scale**3,
+            kind,
+            self.scale * size,
+            mass=self.scale**3 * mass,
             friction=_FRICTION,
             color=(0.84, 0.37, 0.0, 1.0),
         )
@@ -100,11 +83,9 @@ def relocate_scene(hand: Hand, shape: str = "ball", scale: float = 1.0) -> Reloc
         shape: name in ``SHAPES``.
         scale: factor of the object's lengths; its mass has the third power of it.
     """
-    pitch = (np.sin(_PITCH), np.cos(_PITCH))
-    at = mount_over(
-        hand, (0.0, 0.0, TOP + _ABOVE), up=(-pitch[0], 0, -pitch[1]), forward=(pitch[1], 0, 0)
-    )
-    place = np.array([0.0, 0.0, TOP + scale * SHAPES[shape].height])
+    tilt = np.tan(_PITCH)
+    at = mount_over(hand, (0.0, 0.0, TOP + _ABOVE), up=(-tilt, 0, -1), forward=(1, 0, 0))
+    place = np.array([0.0, 0.0, TOP + scale * SHAPES[shape][1][-1]])
     return RelocateScene(
         mount=at,
         start=(place, np.array([1.0, 0.0, 0.0, 0.0])),

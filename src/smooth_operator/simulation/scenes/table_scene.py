@@ -60,16 +60,10 @@ class TableScene(Scene):
         table.condim, table.friction = 6, (*_TABLE_FRICTION, _ROLLING)
 
 
-def grasp_centre(hand: Hand, gap: float = GRASP_GAP) -> Float[np.ndarray, "3"]:
-    """Returns the (3,) middle between thumb and fingers: distal, radial, palmar from the wrist [m].
-
-    Args:
-        gap: distance of thumb and fingers [m].
-
-    Raises:
-        HandModelError: the hand can't have that gap.
-    """
-    middle = np.concatenate([opposition(hand, name, gap) for name in hand.fingers[1:3]])
+def grasp_centre(hand: Hand) -> Float[np.ndarray, "3"]:
+    """Returns the (3,) middle between thumb and fingers at ``GRASP_GAP``: distal, radial, palmar
+    from the wrist [m]; HandModelError if the hand can't have that gap."""
+    middle = np.concatenate([opposition(hand, name, GRASP_GAP) for name in hand.fingers[1:3]])
     return np.asarray(np.median(middle, axis=0))
 
 
