@@ -182,7 +182,7 @@ _TRIAL_CODE: Final = (
 _MOVING_WRIST_CODE: Final = (
     *("cross_hand/human.py", "cross_hand/replay.py", "simulation/scenes/table_scene.py"),
     *("simulation/arms/free_wrist.py", "simulation/arms/arm.py"),
-    *("synthetic/gestures.py", "synthetic/hand_anatomy.py"),
+    *("simulation/tasks/relocate.py", "synthetic/gestures.py", "synthetic/hand_anatomy.py"),
 )
 """Files of a trial with a moving wrist, besides those of every trial."""
 
@@ -197,7 +197,7 @@ def trial_code(task: str, hand: str, method: str) -> str:
     """
     names = {*_TRIAL_CODE, _file_of(SCENES[task]), _file_of(SIMULATED_TASKS[task].scorer)}
     if task not in FIXED_WRIST:
-        names |= set(_MOVING_WRIST_CODE)
+        names |= {*_MOVING_WRIST_CODE, _file_of(PLANS[task])}
     names |= {f"hands/{path.name}" for path in (HOME / "hands").glob("*.py")}
     names.add(f"demonstrations/data/{hand if method == CEILING else DEFAULT_HAND}")
     config = None if method == CEILING else method_of(method)
@@ -210,5 +210,5 @@ def trial_code(task: str, hand: str, method: str) -> str:
 
 
 def _file_of(part: Callable[..., Any]) -> str:
-    """File of a function or class of ``smooth_operator``, relative to the package."""
+    """File of a function or class of either package, relative to the package."""
     return part.__module__.partition(".")[2].replace(".", "/") + ".py"

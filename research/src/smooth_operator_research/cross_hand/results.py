@@ -54,11 +54,12 @@ class Trial(NamedTuple):
 
     Attributes:
         score: 0, 0.5 or 1.
-        reason: line of the task's rubric and the reason for it, with ``#`` for numbers.
+        reason: line of the task's rubric and the reason for it, with ``#`` for numbers with a unit.
         end: a letter of ``ENDS``.
         contact: a letter of ``CONTACTS``.
         seconds: time from the start to the end [s].
-        mechanism: farthest position of the scene's moving part, such as a nail [m]; 0 without one.
+        mechanism: largest position of the scene's moving part, such as a nail [m or rad]; 0 without
+            one.
     """
 
     score: float
@@ -162,7 +163,7 @@ def _line(cell: Cell, code: str, row: Row) -> str:
             "seconds": [round(trial.seconds, 2) for trial in trials],
         }
         if any(trial.mechanism for trial in trials):
-            content["mechanism_mm"] = [round(1e3 * trial.mechanism, 1) for trial in trials]
+            content["mechanism"] = [round(trial.mechanism, 4) for trial in trials]
     return json.dumps(content, ensure_ascii=False, separators=(",", ":")) + "\n"
 
 
@@ -170,7 +171,7 @@ def _row(content: Mapping[str, Any]) -> tuple[Cell, str, Row]:
     cell = Cell(*(str(content[name]) for name in Cell._fields))
     row = Row(obstacle=str(content.get("obstacle", "")))
     worlds = content.get("worlds", [])
-    mechanism = content.get("mechanism_mm", [0.0] * len(worlds))
+    mechanism = content.get("mechanism", [0.0] * len(worlds))
     for k, world in enumerate(worlds):
         trial = Trial(
             int(content["scores"][k]) / 2,
@@ -178,7 +179,7 @@ def _row(content: Mapping[str, Any]) -> tuple[Cell, str, Row]:
             content["ends"][k],
             content["contacts"][k],
             float(content["seconds"][k]),
-            1e-3 * float(mechanism[k]),
+            float(mechanism[k]),
         )
         if trial.end not in ENDS or trial.contact not in CONTACTS:
             raise ValueError(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from statistics import median
 from typing import Final
 
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.benchmark.cells import method_label
+from smooth_operator.simulation.tasks import TASKS as SIMULATED_TASKS
 from smooth_operator_research.cross_hand.matrix import HANDS, METHODS, TASKS, TRACKERS, trial_code
 from smooth_operator_research.cross_hand.results import CONTACTS, MatrixResults, Trial
 from smooth_operator_research.cross_hand.trials import CEILING
@@ -265,6 +267,17 @@ def preserved_table(outcomes: Outcomes) -> Table:
     return _by_task(outcomes, "preserved", _share_of(lambda trial: trial.end != "d"))
 
 
+def mechanism_table(outcomes: Outcomes) -> Table:
+    """Median of the largest position of the moving part, of tasks that have one."""
+
+    def text(trials: list[Trial]) -> str:
+        return f"{1e3 * median(t.mechanism for t in trials):.0f}" if trials else "–"
+
+    table = _by_task(outcomes, "mechanism", text)
+    moving = {task for task in outcomes.tasks if any(t.mechanism for *_, t in outcomes.of(task))}
+    return replace(table, rows=[row for row in table.rows if row[0] in moving])
+
+
 def _share_of(holds: Callable[[Trial], bool]) -> Callable[[list[Trial]], str]:
     def text(trials: list[Trial]) -> str:
         return f"{np.mean([holds(trial) for trial in trials]):.2f}" if trials else "–"
@@ -323,11 +336,12 @@ def data_table(outcomes: Outcomes) -> Table:
 TABLES: Final[dict[str, Callable[[Outcomes], Table]]] = {
     "means": means_table,
     "differences": differences_table,
-    **{f"success-{task}": lambda o, t=task: success_table(o, t) for task in TASKS},  # type: ignore[misc]
+    **{f"success-{task}": lambda o, t=task: success_table(o, t) for task in SIMULATED_TASKS},  # type: ignore[misc]
     "trackers": trackers_table,
     "times": times_table,
     "half": half_table,
     "preserved": preserved_table,
+    "mechanism": mechanism_table,
     "contacts": contacts_table,
     "reasons": reasons_table,
     "data": data_table,

@@ -111,7 +111,7 @@ def judge(moments: Iterable[Moment]) -> Trial:
     outcome = run.outcome or run.finish(moment.state.time).outcome
     assert outcome is not None
     contact = "b" if both else "s" if thumb and finger else "t" if thumb else "f" if finger else "n"
-    reason = re.sub(r"-?\d+(\.\d+)?", "#", f"{outcome.line}: {outcome.reason}")
+    reason = re.sub(r"-?\d+(?=°| c?m)", "#", f"{outcome.line}: {outcome.reason}")
     return Trial(outcome.score, reason, outcome.ended[0], contact, outcome.seconds, mechanism)
 
 
