@@ -38,8 +38,9 @@ class Scorecard:
         side: side of the hand.
         free: Kapandji's test, in which the touched finger bends, too.
         straight: Kapandji's test with straight fingers.
-        sizes: grasp -> diameter of the smallest and of the largest object [m], None if the hand
-            can't hold any.
+        gaps: finger -> diameter of the smallest object between its tip and the thumb's [m], None
+            if the hand can't hold any.
+        sizes: grasp -> diameter of the smallest and of the largest object [m], or None.
         reach: finger -> largest distance of its tip from the wrist [m], and volume of the convex
             hull of its tip's positions [m^3].
         postures: number of standard postures.
@@ -52,6 +53,7 @@ class Scorecard:
     side: str
     free: Sequence[Touch]
     straight: Sequence[Touch]
+    gaps: Mapping[str, float | None]
     sizes: Mapping[str, tuple[float | None, float | None]]
     reach: Mapping[str, tuple[float, float]]
     postures: int
@@ -74,9 +76,10 @@ class Scorecard:
                 + ("stage 0 missed" if stage is None else f"all up to stage {stage}")
                 + (f"; misses {missed}" if missed else ""),
             )
-        for grasp, sizes in self.sizes.items():
-            small, large = ("–" if size is None else f"{1e3 * size:.0f}" for size in sizes)
-            yield grasp, f"{small} to {large} mm"
+        gaps = (f"{finger} {_mm(gap)}" for finger, gap in self.gaps.items())
+        yield "pinch gaps", f"{', '.join(gaps)} mm"
+        for grasp, (small, large) in self.sizes.items():
+            yield f"object in a {grasp}", f"{_mm(small)} to {_mm(large)} mm"
         for finger, (far, volume) in self.reach.items():
             yield f"reach of the {finger}", f"{1e3 * far:.0f} mm, {1e6 * volume:.0f} cm³"
         for name, count, faults in (
@@ -103,6 +106,10 @@ class Scorecard:
             "hand": self.hand,
             "side": self.side,
             "kapandji": tests,
+            "gaps_mm": {
+                finger: None if gap is None else round(1e3 * gap, 1)
+                for finger, gap in self.gaps.items()
+            },
             "sizes_mm": {
                 grasp: [None if size is None else round(1e3 * size, 1) for size in sizes]
                 for grasp, sizes in self.sizes.items()
@@ -135,15 +142,19 @@ def hand_scorecard(hand: Hand, track: Track | None = None) -> Scorecard:
         return steps if track is None else (steps[i] for i in track(what, range(len(steps))))
 
     free, straight = kapandji_touches(hand, lambda places: each("Kapandji", places))
-    grasps = {f"pinch, {finger}": pinch(hand, finger) for finger in hand.fingers[1:]}
-    grasps["tripod"] = pinch(hand, *hand.fingers[1:3])
-    grasps["power"] = power(hand, *hand.fingers[1:3])
-    sizes = {
-        name: (
-            object_size(hand, grasps[name], largest=False),
-            object_size(hand, grasps[name], largest=True),
+    grasps = {finger: pinch(hand, finger) for finger in hand.fingers[1:]}
+    gaps = {
+        finger: object_size(hand, grasps[finger], largest=False)
+        for finger in each("pinches", list(grasps))
+    }
+    first = hand.fingers[1]
+    several = {"tripod": pinch(hand, *hand.fingers[1:3]), "power": power(hand, *hand.fingers[1:3])}
+    sizes = {"pinch": (gaps[first], object_size(hand, grasps[first], largest=True))} | {
+        f"{name} grasp": (
+            object_size(hand, several[name], largest=False),
+            object_size(hand, several[name], largest=True),
         )
-        for name in each("objects", list(grasps))
+        for name in each("objects", list(several))
     }
     tips = np.swapaxes(sample_reach(hand, _POSES) - hand.wrist, 0, 1)
     reach = {finger: _reach(own) for finger, own in zip(hand.fingers, tips, strict=True)}
@@ -154,6 +165,7 @@ def hand_scorecard(hand: Hand, track: Track | None = None) -> Scorecard:
         hand.spec.side,
         free,
         straight,
+        gaps,
         sizes,
         reach,
         len(standard),
@@ -167,3 +179,7 @@ def _reach(tips: Float[np.ndarray, "S 3"]) -> tuple[float, float]:
     """Largest distance from the wrist [m], and volume of the convex hull [m^3]."""
     hull = ConvexHull(tips, qhull_options="QJ")  # a finger of one motor stays on a curve
     return float(np.linalg.norm(tips, axis=1).max()), float(hull.volume)
+
+
+def _mm(size: float | None) -> str:
+    return "–" if size is None else f"{1e3 * size:.0f}"

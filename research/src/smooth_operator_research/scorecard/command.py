@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -65,8 +66,13 @@ def print_scorecard(options: Check, track: Track) -> None:
         _write_page(hand, card, options.out)
 
 
-def kapandji_picture(hand: Hand, touches: list[Touch], columns: int) -> Image:
-    """Draws the pose at each place, seen from the palm and across the place, which is red."""
+def kapandji_picture(hand: Hand, touches: Sequence[Touch], columns: int, size: int = CELL) -> Image:
+    """Draws the pose at each place, seen from the palm and across the place, which is red.
+
+    Args:
+        columns: number of places in a row.
+        size: width and height of each of the two views [px].
+    """
     from PIL import Image as pillow
     from PIL import ImageDraw
 
@@ -75,7 +81,7 @@ def kapandji_picture(hand: Hand, touches: list[Touch], columns: int) -> Image:
 
     shape = ModelShape(hand)
     rows = -(-len(touches) // columns)
-    sheet = pillow.new("RGB", (2 * CELL * columns, CELL * rows), "white")
+    sheet = pillow.new("RGB", (2 * size * columns, size * rows), "white")
     pen = ImageDraw.Draw(sheet)
     for k, touch in enumerate(touches):
         posed = shape.surface(hand.full_configuration(touch.pose))
@@ -88,10 +94,10 @@ def kapandji_picture(hand: Hand, touches: list[Touch], columns: int) -> Image:
         across /= max(float(np.linalg.norm(across)), 1e-9)
         across *= 1.0 if across @ shape.view[0] > 0 else -1.0
         side = np.stack([np.cross(shape.view[1], across), shape.view[1], across])
-        left, top = 2 * CELL * (k % columns), CELL * (k // columns)
+        left, top = 2 * size * (k % columns), size * (k // columns)
         for i, view in enumerate((shape.view, side)):
-            picture = paint(drawn, view, view[:2] @ touch.point, _HALF, CELL)
-            sheet.paste(pillow.fromarray(picture), (left + i * CELL, top))
+            picture = paint(drawn, view, view[:2] @ touch.point, _HALF, size)
+            sheet.paste(pillow.fromarray(picture), (left + i * size, top))
         text = (
             f"{touch.stage}" if touch.touched else f"{touch.stage}: {1e3 * touch.distance:.0f} mm"
         )
@@ -126,7 +132,7 @@ def _write_page(hand: Hand, card: Scorecard, path: Path) -> None:
             (
                 f"Kapandji, fingers {name}",
                 name,
-                plots.picture(kapandji_picture(hand, list(touches), 3), name, caption),
+                plots.picture(kapandji_picture(hand, touches, 3), name, caption),
             )
             for name, touches in (("free", card.free), ("straight", card.straight))
         ),

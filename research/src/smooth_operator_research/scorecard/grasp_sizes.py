@@ -35,7 +35,7 @@ _ROUGH: Final = 0.001  # error of a contact, from the spacing of points [m]
 _UNEQUAL: Final = 0.0015  # largest difference of two fingers' distances from the centre [m]
 _HELD: Final = 0.0005  # largest violation of all conditions together in a grasp [m]
 _LARGE: Final = 0.3  # size of no object that a hand can hold [m]
-_STEPS: Final = 4
+_STEPS: Final = 3
 _LONG: Final = 0.1  # half a cylinder's length [m]
 
 
@@ -69,7 +69,7 @@ def power(hand: Hand, *fingers: str) -> Grasp:
     inner = (every.owners == PALM) & (every.normals @ axes.palmar > np.cos(np.pi / 4))
     inner &= (heights > hand.wrist @ axes.distal) & (heights < knuckles.max())
     others = [finger_tip(hand, name) for name in fingers]
-    return Grasp(fingers, every.surface.only(np.flatnonzero(inner)[::3]), others, axes.radial)
+    return Grasp(fingers, every.surface.only(np.flatnonzero(inner)[::5]), others, axes.radial)
 
 
 def object_size(hand: Hand, grasp: Grasp, *, largest: bool) -> float | None:

@@ -73,20 +73,25 @@ class PosedBodies:
             for k, corner in enumerate(corners)
         }
         self._tree = tree_with(hand, points)
-        self._at = [self._tree.names.index(name) for name in points]
+        self._names = list(points)
 
     def __call__(
         self, q: Float[np.ndarray, "T n"], surface: SurfacePoints
     ) -> tuple[Float[np.ndarray, "T N 3"], Float[np.ndarray, "T N 3"]]:
         """Positions [m] and normals of points at (T, n) positions of all joints [rad]."""
-        frames = np.asarray(self._tree.positions(q))[:, self._at].reshape(len(q), -1, 4, 3)
-        turns = (frames[:, :, 1:] - frames[:, :, :1]).swapaxes(-1, -2)
-        of = np.searchsorted(self._bodies, surface.bodies)
-        points, normals = (
-            np.einsum("tnij,nj->tni", turns[:, of], vectors)
-            for vectors in (surface.points, surface.normals)
-        )
-        return points + frames[:, of, 0], normals
+        columns = list(np.ascontiguousarray(np.asarray(q, float).T))
+        frames = np.empty((len(q), len(self._bodies), 4, 3))
+        flat = frames.reshape(len(q), -1, 3)
+        for k, corner in enumerate(self._tree.forward_kinematics(columns, self._names)):
+            for axis, values in enumerate(corner):
+                flat[:, k, axis] = values  # a coordinate that no joint moves is one number
+        points, normals = (np.empty((len(q), len(surface.bodies), 3)) for _ in range(2))
+        for body in np.unique(surface.bodies):
+            own, frame = surface.bodies == body, frames[:, self._bodies.index(int(body))]
+            turns = frame[:, 1:] - frame[:, :1]  # rows: the body's axes
+            points[:, own] = surface.points[own] @ turns + frame[:, :1]
+            normals[:, own] = surface.normals[own] @ turns
+        return points, normals
 
 
 def _solids(hand: Hand) -> Iterator[tuple[int, Float[np.ndarray, "n 3"]]]:

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, Int
 from smooth_operator.hands.capsules import chosen_pairs, parts_apart
 from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import FINGERS, LANDMARKS, TIPS
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
+from smooth_operator.retargeting.palm import unit_vectors
 from smooth_operator_research.scorecard.link_surfaces import (
     PosedBodies,
     SurfacePoints,
@@ -23,12 +24,14 @@ OVERLAP: Final = 0.001
 """Largest overlap of two parts of the hand [m]."""
 TIP: Final = 0.015
 """Length of a finger's tip [m]: the part of its last link that touches."""
+_NAIL: Final = -0.5  # cosine between a normal and the direction of bending, of the nail's edge
+_NUDGE: Final = 0.1  # [rad]
 _WEIGHT: Final = 10.0  # cost of an overlap beyond the limit, over a distance
-_RANDOM: Final = 1000
-_STARTS: Final = 5
-_TRIALS: Final = 24
-_ROUNDS: Final = 22
-_PATIENCE: Final = 6  # rounds in which the best cost has to fall by 2 %
+_RANDOM: Final = 600
+_STARTS: Final = 4
+_TRIALS: Final = 20
+_ROUNDS: Final = 20
+_PATIENCE: Final = 5  # rounds in which the best cost has to fall by 2 %
 _WIDTH: Final = 0.2  # first standard deviation of the trials, over a joint's range
 _SHRINK: Final = 0.82  # of the standard deviation in each round
 
@@ -45,7 +48,7 @@ def best_pose(
 ) -> tuple[Float[np.ndarray, " m"], float]:
     """The pose of least cost that moves some fingers from the straight pose.
 
-    The best of 1500 random poses start a local search: rounds of normally distributed trials that
+    The best of 600 random poses start a local search: rounds of normally distributed trials that
     become narrower. The random numbers are the same in each run.
 
     Args:
@@ -151,15 +154,32 @@ def straight_surface(hand: Hand) -> HandSurface:
 
 
 def finger_tip(hand: Hand, finger: str) -> SurfacePoints:
-    """Points on the outermost link of a finger that has a shape, within ``TIP`` of its tip."""
+    """Points on the outermost link of a finger that has a shape, within ``TIP`` of its tip and not
+    on the side of the nail."""
     model, every = hand.model, straight_surface(hand)
     spec = hand.spec.fingers[hand.fingers.index(finger)]
     parts, link = model.body_weldid[every.surface.bodies], model.body(spec.tip.body).id
     link = model.body_weldid[link]
     while link and not (parts == link).any():
         link = model.body_weldid[model.body_parentid[link]]
-    tip = hand.landmark_positions(hand.straight_pose.q)[
-        hand.tree.names.index(LANDMARKS[TIPS[FINGERS.index(finger)]])
-    ]
+    tip, way = _flexion(hand, finger)
     far = np.where(parts == link, np.linalg.norm(every.points - tip, axis=1), np.inf)
-    return every.surface.only(far <= max(TIP, float(far.min()) + TIP / 2))
+    near = far <= max(TIP, float(far.min()) + TIP / 2)
+    return every.surface.only(near & (every.normals @ way > _NAIL))
+
+
+def _flexion(hand: Hand, finger: str) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """(3,) tip of a straight finger [m], and (3,) direction in which its last joint bends it: to
+    the end of the range where tip and base are nearest to each other."""
+    q, first = hand.straight_pose.q, BASES[FINGERS.index(finger)]
+    base, tip = (hand.tree.names.index(LANDMARKS[i]) for i in (first, first + 3))
+    joint = hand.tree.joints[hand.tree.keypoints[LANDMARKS[first + 3]].joint].source
+    driver = int(np.argmax(np.abs(hand.transmission.matrix[joint])))
+    poses = np.tile(q, (3, 1))
+    poses[1:, driver] = hand.limits[driver]
+    points = hand.landmark_positions(poses)
+    lengths = np.linalg.norm(points[:, tip] - points[:, base], axis=1)
+    end = 1 + int(np.argmin(lengths[1:]))
+    poses[end, driver] = q[driver] + np.clip(poses[end, driver] - q[driver], -_NUDGE, _NUDGE)
+    moved = hand.landmark_positions(poses[end])[tip] - points[0, tip]
+    return points[0, tip], unit_vectors(moved, np)
