@@ -91,12 +91,6 @@ KNOWN_UPWARD = {
         "teleop.recording",
         "teleop.recording.log_reader",
     },
-    "retargeting/registry.py": {
-        "baselines",
-        "baselines.geort.method",
-        "baselines.joint_angle",
-        "baselines.slsqp_method",
-    },
 }
 """File -> what it imports from above by a string such as ``Entry("smooth_operator...")``. Such an
 import hides an arrow that runs up, so the list only shrinks: a new one fails, and so does one that
@@ -105,7 +99,7 @@ is gone and still listed."""
 START = "retargeting.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 11_609
+CLOSURE_LINES = 10_189
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 MAX_LINES = 700

@@ -104,7 +104,7 @@ def test_a_method_of_ones_own_needs_only_what_is_abstract():
 
 
 def test_every_built_in_method_has_a_colour_of_its_own():
-    assert set(COLORS) == set(METHODS.built_in)
+    assert set(COLORS) == {*METHODS.built_in, *METHODS.elsewhere}
     assert len(set(COLORS.values())) == len(COLORS)
 
 

@@ -1,10 +1,12 @@
 """Registries of parts: what they list, load and refuse. An installed plugin: test_plugin.py."""
 
+import inspect
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 from metrics_cases import make_trace
 
-from smooth_operator import HandRecording, read_recording, result_cache
+from smooth_operator import HandRecording, plugins, read_recording, result_cache
 from smooth_operator.benchmark.cells import (
     Cell,
     Settings,
@@ -39,6 +41,7 @@ from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
 from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.reporting.drawing import COLORS
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import (
     PRESETS,
@@ -124,10 +127,30 @@ def test_help_imports_no_numerical_library():
 
 
 def test_the_summary_of_a_method_lists_its_presets():
-    for name, entry in METHODS.built_in.items():
+    assert {"sbr", "smooth", *COLORS} <= METHODS.keys()
+    for name in COLORS:
+        entry = METHODS[name]
         listed = re.split(r",? or |, ", entry.summary)
         named = [each.removesuffix(" for recordings") for each in listed]
         assert [each for each in named if "file of your trained" not in each] == list(PRESETS[name])
+
+
+def test_a_published_method_missing_from_an_old_installation_names_the_command(offer):
+    offer("methods")
+    assert list(METHODS) == ["sbr", "smooth"]
+    with pytest.raises(ConfigError, match=r"older than the code: run git pull .* pip install"):
+        method_config("dexpilot")
+
+
+def test_the_distributions_own_method_comes_before_another_of_the_same_name(monkeypatch):
+    points = [
+        EntryPoint("ako", "other:AKO", "smooth_operator.methods"),
+        *entry_points(group="smooth_operator.methods"),
+    ]
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
+    uncached = inspect.unwrap(plugins._installed)
+    monkeypatch.setattr(plugins, "_installed", uncached)
+    assert METHODS["ako"].target == "smooth_operator.baselines.slsqp_method:AKO_PRESETS"
 
 
 def test_a_method_of_ones_own_is_named_by_its_module():

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
+from smooth_operator.extras import DISTRIBUTION
 from smooth_operator.terminal import print_note
 
 _Part = TypeVar("_Part")
@@ -75,11 +76,13 @@ def _broken(where: str, error: Exception) -> ConfigError:
 
 @functools.cache
 def _installed(group: str) -> dict[str, Entry]:
-    """Parts that installed distributions offer, by name. They are read once per process."""
+    """Parts that installed distributions offer, by name; of equal names, that of this distribution.
+    They are read once per process."""
     from importlib.metadata import entry_points  # here, since the import takes a while
 
     parts: dict[str, Entry] = {}
-    for point in entry_points(group=group):
+    points = entry_points(group=group)
+    for point in sorted(points, key=lambda each: getattr(each.dist, "name", "") != DISTRIBUTION):
         owner = point.dist.name if point.dist is not None else "an installed distribution"
         parts.setdefault(point.name, Entry(point.value, f"from {owner}", owner))
     return parts
@@ -100,7 +103,8 @@ class Registry(Mapping[str, Entry]):
         needs: names of the attributes that every part must have.
         advice: advice about a missing attribute.
         elsewhere: name of a part of another distribution -> how to get it.
-        summaries: name of a part of another distribution -> its line for ``--help``.
+        summaries: name of a part of another distribution -> its line for ``--help``; these parts
+            come first.
     """
 
     def __init__(
@@ -126,11 +130,11 @@ class Registry(Mapping[str, Entry]):
     @property
     def plugins(self) -> dict[str, Entry]:
         """Maps names to the parts of installed distributions and to added parts."""
-        offered = {**_installed(self.group), **self._added}
+        offered = _installed(self.group) | self._added
         return {
-            name: replace(entry, summary=self.summaries.get(name, entry.summary))
-            for name, entry in offered.items()
-            if name not in self.built_in
+            name: replace(offered[name], summary=self.summaries.get(name, offered[name].summary))
+            for name in dict.fromkeys((*self.summaries, *offered))
+            if name in offered and name not in self.built_in
         }
 
     def add(self, name: str, entry: Entry) -> None:

@@ -1,3 +1,3 @@
 """Published methods for comparison with ``sbr`` and ``smooth``, and their solvers: ``joint_angle``,
-``keyvector``, ``hybrid``, ``dexpilot``, ``ako`` and ``geort``. The registry of methods
-(``smooth_operator.retargeting.registry``) loads them by name, like the methods of plugins."""
+``keyvector``, ``hybrid``, ``dexpilot``, ``ako`` and ``geort``. They are entry points of this
+distribution in the group ``smooth_operator.methods``, and load like the methods of plugins."""

@@ -211,8 +211,8 @@ COLORS: Final = {
     "ako": "#56b4e9",
     "geort": "#009e73",
 }
-"""Built-in method -> its colour in every report, most from Okabe and Ito's safe palette. The key is
-the name, because the settings of keyvector, hybrid, dexpilot and ako have one class."""
+"""Method of this distribution -> its colour in every report, most from Okabe and Ito's safe
+palette. The key is the name: the settings of keyvector, hybrid, dexpilot and ako have one class."""
 
 
 def method_color(name: str) -> str | None:
@@ -220,7 +220,7 @@ def method_color(name: str) -> str | None:
 
     The colour of a plugin's method is ``MethodConfig.color``.
     """
-    if name not in METHODS.plugins:
+    if name in COLORS or name not in METHODS:
         return COLORS.get(name)
     try:
         presets = as_presets(METHODS.load(name))

@@ -1,4 +1,5 @@
-"""Registry of the built-in and plugin methods by name. This module does not import JAX.
+"""Registry of the methods by name: ``sbr``, ``smooth`` and those of installed distributions, also
+the published methods in ``smooth_operator.baselines``. This module does not import JAX.
 
 A name refers to a mapping of preset names to configurations, of which the first is the default, or
 to one configuration, whose preset is called ``default``. A class refers to its default instance.
@@ -9,9 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from smooth_operator.extras import UPGRADE
 from smooth_operator.plugins import Entry, Registry
 
-_BASELINES: Final = "smooth_operator.baselines"
+_PUBLISHED: Final = {
+    "joint_angle": "default",
+    "keyvector": "published or fast",
+    "hybrid": "published or fast",
+    "dexpilot": "published or fast",
+    "ako": "published or fast",
+    "geort": "default, or the file of your trained model",
+}
+"""Maps the published methods, which this distribution offers as entry points, to summaries."""
 
 METHODS: Final = Registry(
     "method",
@@ -24,16 +34,11 @@ METHODS: Final = Registry(
             "smooth_operator.retargeting.smooth:SMOOTH",
             "teleop, precise, or offline for recordings",
         ),
-        "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
-        "keyvector": Entry(f"{_BASELINES}.slsqp_method:KEYVECTOR_PRESETS", "published or fast"),
-        "hybrid": Entry(f"{_BASELINES}.slsqp_method:HYBRID_PRESETS", "published or fast"),
-        "dexpilot": Entry(f"{_BASELINES}.slsqp_method:DEXPILOT_PRESETS", "published or fast"),
-        "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "published or fast"),
-        "geort": Entry(
-            f"{_BASELINES}.geort.method:GEORT_PRESETS",
-            "default, or the file of your trained model",
-        ),
     },
+    elsewhere=dict.fromkeys(
+        _PUBLISHED, f"not in your installation, which is older than the code: run {UPGRADE}"
+    ),
+    summaries=_PUBLISHED,
 )
 """Maps names to presets. The summaries list the presets, with the default first."""
 
