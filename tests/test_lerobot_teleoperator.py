@@ -571,12 +571,12 @@ def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):
         gripper.action(without)
 
 
-FLAT_HAND = SyntheticOperator(seed=0).record(0.02).landmarks[0]
+OPEN_HAND = SyntheticOperator(seed=0).record(0.02).landmarks[0]
 
 
 def hand_of(opening: float, by: str = "pinch") -> np.ndarray:
     """Landmarks [m] of a hand: finger pinched or closed (0) to open (1)."""
-    points = FLAT_HAND.copy()
+    points = OPEN_HAND.copy()
     if by == "pinch":
         length = np.linalg.norm(np.diff(points[5:9], axis=0), axis=1).sum()
         points[4] = points[8] + [0.0, 0.01 + opening * (length - 0.01), 0.0]
