@@ -14,6 +14,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.simulation.tasks.task import PRESSES_N
 from smooth_operator_research.cross_hand import fixed_wrist, human, replay
@@ -79,7 +80,9 @@ def play_block(
     joints = {}
     for chosen in dict.fromkeys(tracker for _, tracker in block.worlds):
         places = [k for k, (_, tracker) in enumerate(block.worlds) if tracker == chosen]
-        retargeter = BatchRetargeter(hand, config=config, pinch_gaps=known_gaps(chosen))
+        retargeter = BatchRetargeter(
+            hand, config=config, pinch_gaps=known_gaps(chosen), cache=ProgramStore.of_user()
+        )
         # With one lane no work is wasted on lanes without a recording.
         batch = retargeter.batch([demonstrations[k].recording for k in places], lanes=1)
         for k, (commands, _) in zip(places, batch, strict=True):
