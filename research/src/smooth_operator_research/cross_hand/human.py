@@ -12,10 +12,10 @@ Wrist path and synergy were tuned on ``mimic_p050``, ``wuji_hand`` and ``leap_ha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -26,54 +26,29 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
 from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.scenes.physics import ObjectVariation, draw_wrist_variation
-from smooth_operator.simulation.scenes.relocate import RelocateScene
 from smooth_operator.synthetic.gestures import pinch_postures
-from smooth_operator.synthetic.hand_anatomy import FREE, couple, draw_anatomy, pose_hand
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
 from smooth_operator.types import HandRecording
+from smooth_operator_research.cross_hand.plans import PLANS, Waypoint
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 
 HAND_LENGTH: Final = 0.19
 """Length of the human's hand, from the wrist to the tip of the middle finger [m]."""
 
-SQUEEZE_M: Final = 0.015
-"""Depth below the object's surface to which thumb and fingers close, each [m]."""
-
 _PERSON: Final = 0  # seed of the anatomy
 _OPEN: Final = np.deg2rad(
     [-16, 22, 0, 0, 4, 12, 14, 0, 12, 14, -4, 12, 14, -8, 12, 14]
 )  # free joint angles of the open hand
+_FIST: Final = np.deg2rad(
+    [
+        [-20, 30, -10, -15, *(4 * [0, 25, 20])],
+        [-20, 30, -10, -15, *(4 * [0, 60, 70])],
+        [10, 25, 35, 30, *(4 * [0, 75, 95])],
+    ]
+)  # free joint angles of the hand that opens, has its fingers around a handle, and is a fist
 _REST: Final = 0.75  # share of the way from thumb to fingers of the point that rests in a grip
 _STEPS: Final = 400  # postures of the synergy, between which is interpolated
-
-
-class Waypoint(NamedTuple):
-    """One step of a human's plan; the moves between steps are minimum-jerk.
-
-    Attributes:
-        seconds: duration of the move to this waypoint [s].
-        centre: (3,) place of the middle between thumb and fingers in the frame of the object at its
-            start [m].
-        turn: (4,) rotation of the wrist frame in that frame, wxyz.
-        gap: distance between thumb and fingers [m].
-    """
-
-    seconds: float
-    centre: Float[np.ndarray, "3"]
-    turn: Float[np.ndarray, "4"]
-    gap: float
-
-
-class Plan(NamedTuple):
-    """Waypoints of a human, from the start.
-
-    Attributes:
-        waypoints: the waypoints; the first one is the start, and its duration is a wait.
-        width: thickness of the object between thumb and fingers [m].
-    """
-
-    waypoints: Sequence[Waypoint]
-    width: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +109,7 @@ def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
     ticks = TrackerStream(model).next(int(ends[-1] * model.rate_hz))
     moments = np.maximum(ticks.stamps - model.delay, 0.0)  # a frame shows the past
     gaps, centres, turns = _moves(plan.waypoints, ends, moments)
-    synergy_gaps, synergy = _synergy()
+    synergy_gaps, synergy = _fist() if plan.synergy == "fist" else _synergy()
     indices = np.arange(float(_STEPS))
     landmarks = _between(synergy, np.interp(gaps, synergy_gaps, indices))
     touching = _between(synergy, np.interp([plan.width], synergy_gaps, indices))
@@ -144,6 +119,8 @@ def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
     opening = _between(synergy, np.interp(np.maximum(gaps, plan.width), synergy_gaps, indices))
     pressing = _between(synergy, np.interp(np.minimum(gaps, plan.width), synergy_gaps, indices))
     ahead = _along(opening, 0.5) + _along(pressing, _REST) - _along(touching, _REST)
+    if plan.synergy == "fist":
+        ahead[:] = centre
     wrist = np.concatenate([centres - poses.rotate(turns, ahead), turns], axis=1)
     touch = float(ticks.stamps[np.argmax(gaps <= plan.width)])
     seen = ticks.arrives
@@ -188,8 +165,19 @@ def _synergy() -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
     closed[4::3] = 0.0
     closed[5::3], closed[6::3] = pinches[1, 8], pinches[1, 9]
     share = np.linspace(0.93, 0.0, _STEPS)[:, None]
-    free = _OPEN + share * (closed - _OPEN)
-    assert free.shape[1] == len(FREE)
+    return _shown(_OPEN + share * (closed - _OPEN))
+
+
+@lru_cache
+def _fist() -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
+    """The same of a hand that closes to a fist, the thumb last."""
+    share = np.linspace(2.0, 0.0, _STEPS)
+    return _shown(np.stack([np.interp(share, (0, 1, 2), angle) for angle in _FIST.T], axis=1))
+
+
+def _shown(
+    free: Float[np.ndarray, "s 16"],
+) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
     points = pose_hand(draw_anatomy(HAND_LENGTH, _PERSON), couple(free)).landmarks
     landmarks = np.stack([points[..., 2], points[..., 1], -points[..., 0]], axis=-1)
     return np.array([grip(one)[1] for one in landmarks]), landmarks
@@ -216,44 +204,3 @@ def _moves(
     vectors = poses.rotation_vectors(poses.multiply(turns[after], poses.conjugate(turns[before])))
     turned = poses.multiply(poses.from_rotation_vectors(u * vectors), turns[before])
     return moved[:, 3], moved[:, :3], turned
-
-
-def pitched(angle: float) -> Float[np.ndarray, "4"]:
-    """Returns the (4,) rotation wxyz of a wrist frame with the palm down, and the fingers forward
-    and down by an angle [rad]."""
-    return poses.from_rotation_vectors(np.array([0.0, angle, 0.0]))
-
-
-_WIDTHS: Final = {"ball": 0.070, "cylinder": 0.050, "cube": 0.040}
-_LIFT: Final = {"ball": 0.0, "cylinder": 0.022, "cube": 0.0}  # grip above the object's centre [m]
-_PITCH: Final = np.radians(25.0)
-_WIDE: Final = 0.045  # opening beyond the object's width [m]
-_ABOVE: Final = 0.08  # height from which the hand goes down [m]
-
-
-def relocate_plan(scene: RelocateScene) -> Plan:
-    """Plan for ``relocate``: from above, close, lift, carry to the mark, and stay."""
-    width = _WIDTHS[scene.shape] * scene.scale
-    up = np.array([0.0, 0.0, 1.0])
-    turn = pitched(_PITCH)
-    grasp = _LIFT[scene.shape] * up
-    start = np.concatenate(scene.start)
-    there = poses.rotate(poses.conjugate(start[3:]), scene.target - start[:3]) + grasp
-    wide, tight = min(width + _WIDE, 0.115), width - 2 * SQUEEZE_M
-    return Plan(
-        (
-            Waypoint(0.5, grasp + 0.16 * up, turn, wide),
-            Waypoint(1.2, grasp + _ABOVE * up, turn, wide),
-            Waypoint(1.0, grasp, turn, wide),
-            Waypoint(1.2, grasp, turn, tight),
-            Waypoint(0.3, grasp, turn, tight),
-            Waypoint(1.0, grasp + 0.10 * up, turn, tight),
-            Waypoint(1.5, there, turn, tight),
-            Waypoint(2.0, there, turn, tight),
-        ),
-        width,
-    )
-
-
-PLANS: Final[dict[str, Callable[[Any], Plan]]] = {"relocate": relocate_plan}
-"""Task -> plan of the human in a scene."""

@@ -39,16 +39,16 @@ NAIL_FRICTION: Final = 15.0
 ARM: Final = (0.008, 0.200, 0.022)
 """Thickness, length and height of an arm of the tongs [m]."""
 
-ARM_MASS: Final = 0.040
-"""Mass of an arm of the tongs [kg]."""
+TONGS_MASSES: Final = (0.030, 0.020)
+"""Masses of an arm of the tongs and of the jaw at its end [kg]; the tongs balance at the grip."""
 
 GAPS: Final = (0.060, 0.015)
 """Gaps between the ends of the arms of open and of shut tongs [m]."""
 
-SQUEEZE: Final = (1.0, 3.0)
+SQUEEZE: Final = (1.5, 3.0)
 """Forces at the middle of the grip at which the tongs begin to shut, and are shut [N]."""
 
-HINGE_AT: Final = 0.110
+HINGE_AT: Final = 0.125
 """Distance from the middle of the grip to the hinge [m]."""
 
 RAISED: Final = 0.10
@@ -179,7 +179,7 @@ class TongsScene(ToolScene):
     target is ``RAISED`` above the start."""
 
     mechanism: ClassVar = "tongs"
-    pitch, post, posts, height = 40.0, (0.045, 0.010, 0.025), (-0.090, 0.075), ARM[2] / 2
+    pitch, post, posts, height = 40.0, (0.045, 0.008, 0.025), (-0.105, 0.060), ARM[2] / 2
 
     def gap(self, angle: float) -> float:
         """Gap between the ends of the arms [m] at an angle between them [rad]."""
@@ -191,8 +191,11 @@ class TongsScene(ToolScene):
         for side, name in ((-1, "thumb_arm"), (1, "finger_arm")):
             turn = np.cos(_ANGLE / 4), 0.0, 0.0, -side * np.sin(_ANGLE / 4)
             arm = body.add_body(name=name, pos=(0.0, -s * HINGE_AT, 0.0), quat=turn)
-            at = (side * (s * GAPS[1] / 2 + half[0]), half[1], 0)
-            _add(arm, name, _BOX, half, at, _BLUE, ARM_MASS * s**3)
+            x = side * (s * GAPS[1] / 2 + half[0])
+            mass, jaw = TONGS_MASSES
+            _add(arm, name, _BOX, half, (x, half[1], 0), _BLUE, mass * s**3)
+            at, size = (x, 2 * half[1], 0), (half[0], half[2], half[2])
+            _add(arm, f"{name}_jaw", _BOX, size, at, _STEEL, jaw * s**3)
         hinge = arm.add_joint(name=self.mechanism, axis=(0, 0, -1), limited=True)
         hinge.range, hinge.ref = (0.0, _ANGLE), _ANGLE
         hinge.solref_limit, hinge.solimp_limit = _STOP

@@ -27,8 +27,8 @@ DRIVEN: Final = (0.015, 0.040)
 SQUEEZES: Final = 3
 """Number of times that the tongs are to be shut and opened, as in DexJoCo's ``pinch_tongs``."""
 
-SHUT_BELOW, OPEN_ABOVE = 0.020, 0.035
-"""Gaps between the ends of the arms of shut tongs and of tongs that were opened again [m]."""
+SHUT_BELOW, OPEN_ABOVE = 0.020, 0.030
+"""Gaps between the ends of shut tongs, and of tongs that were opened again [m]."""
 
 HAMMER: Final = Task(
     "hammer",
