@@ -1,13 +1,10 @@
 """A scripted human who does a task with a moving wrist once per world, whatever the robot hand.
 
 The human has published anatomy and a hand of 190 mm, and sees the object but no robot. The hand
-closes along one synergy, from open to a pinch of all fingers with the thumb. It comes from above,
-closes until thumb and fingers would touch the object, and closes further, so that a robot hand that
-copies it presses. Then the wrist carries the object.
-
-Wrist path and synergy were tuned on ``mimic_p050``, ``wuji_hand`` and ``leap_hand`` with the method
-``smooth`` in worlds 1000 to 1011, the height of the grip on the cylinder also on ``orca_v2`` and
-``schunk_svh``; other hands, methods and worlds had no part in it.
+closes along one of two synergies, from open to a pinch of all fingers with the thumb or to a fist.
+It comes from above, closes until thumb and fingers would touch the object, and closes further, so
+that a robot hand that copies it presses. Then the wrist carries the object. ``plans`` says what the
+plans and synergies were tuned on.
 """
 
 from __future__ import annotations
@@ -65,7 +62,8 @@ class HumanDemonstration:
         wrist: (t, 7) pose of the wrist frame in the frame of the object at its start: position [m]
             and quaternion wxyz.
         touch: time at which thumb and fingers reach the object's surface [s].
-        centre: (3,) middle between thumb and fingers at that time, in the wrist frame [m].
+        centre: (3,) middle between thumb and fingers at that time, in the wrist frame [m]; before
+            a fist closes, that of the open hand.
     """
 
     task: str

@@ -23,7 +23,7 @@ from smooth_operator.simulation.tasks import TASKS as SIMULATED_TASKS
 from smooth_operator.source_digest import HOME
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.code import research_digest
-from smooth_operator_research.cross_hand.human import PLANS
+from smooth_operator_research.cross_hand.plans import PLANS
 from smooth_operator_research.cross_hand.results import Cell, MatrixResults
 from smooth_operator_research.cross_hand.trials import CEILING, Block, method_of, run_block
 from smooth_operator_research.demonstrations.demonstration import (
@@ -180,7 +180,12 @@ _TRIAL_CODE: Final = (
 """Files of every trial, here or in ``smooth_operator``."""
 
 _MOVING_WRIST_CODE: Final = (
-    *("cross_hand/human.py", "cross_hand/replay.py", "simulation/scenes/table_scene.py"),
+    *(
+        "cross_hand/human.py",
+        "cross_hand/plans.py",
+        "cross_hand/replay.py",
+        "simulation/scenes/table_scene.py",
+    ),
     *("simulation/arms/free_wrist.py", "simulation/arms/arm.py"),
     *("simulation/tasks/relocate.py", "synthetic/gestures.py", "synthetic/hand_anatomy.py"),
 )

@@ -1,8 +1,12 @@
 """Plans of the scripted human: places and openings of the hand, one after the other.
 
-Each plan was tuned with the method ``smooth`` in worlds 1000 to 1019, on ``mimic_p050``,
-``wuji_hand`` and ``leap_hand`` (relocate) or ``mimic_p050``, ``shadow_hand`` and ``inspire_hand``
-(hammer, tongs).
+The plans were tuned with the method ``smooth`` and the glove. ``relocate``: on ``mimic_p050``,
+``wuji_hand`` and ``leap_hand`` in worlds 1000 to 1011, the height of the grip on the cylinder also
+on ``orca_v2`` and ``schunk_svh``. ``hammer``: on ``mimic_p050``, ``shadow_hand`` and
+``inspire_hand`` in worlds 1000 and 1001; the posture of the open hand, its depth and its tilt by
+whether all 17 hands lift the hammer in its nominal place. ``tongs``: size, balance and plan on
+``mimic_p050``, ``shadow_hand`` and ``inspire_hand`` in worlds 1000 and 1001. Other methods,
+trackers and worlds had no part in it.
 """
 
 from __future__ import annotations
@@ -118,7 +122,7 @@ def hammer_plan(scene: HammerScene) -> Plan:
         return Waypoint(seconds, np.asarray(place) + poses.rotate(swing, _INSIDE), turn, gap)
 
     def above(height: float) -> Float[np.ndarray, "3"]:
-        return over + np.array([0.0, 0.0, height])
+        return np.asarray(over + height * np.array([0.0, 0.0, 1.0]))
 
     origin = np.zeros(3)
     waypoints = [
