@@ -130,7 +130,7 @@ def hand_scorecard(hand: Hand, track: Track | None = None) -> Scorecard:
         track: function of a progress bar.
 
     Raises:
-        HandModelError: the hand is a gripper, or its model has no shapes.
+        HandModelError: the hand is a gripper.
     """
     if hand.spec.gripper:
         raise HandModelError(
@@ -142,24 +142,27 @@ def hand_scorecard(hand: Hand, track: Track | None = None) -> Scorecard:
         return steps if track is None else (steps[i] for i in track(what, range(len(steps))))
 
     free, straight = kapandji_touches(hand, lambda places: each("Kapandji", places))
-    grasps = {finger: pinch(hand, finger) for finger in hand.fingers[1:]}
+    first, second = hand.fingers[1:3]
     gaps = {
-        finger: object_size(hand, grasps[finger], largest=False)
-        for finger in each("pinches", list(grasps))
+        finger: object_size(hand, pinch(hand, finger), largest=False)
+        for finger in each("pinches", list(hand.fingers[1:]))
     }
-    first = hand.fingers[1]
-    several = {"tripod": pinch(hand, *hand.fingers[1:3]), "power": power(hand, *hand.fingers[1:3])}
-    sizes = {"pinch": (gaps[first], object_size(hand, grasps[first], largest=True))} | {
-        f"{name} grasp": (
-            object_size(hand, several[name], largest=False),
-            object_size(hand, several[name], largest=True),
+    grasps = {
+        "pinch": pinch(hand, first),
+        "tripod grasp": pinch(hand, first, second),
+        "power grasp": power(hand, first, second),
+    }
+    sizes = {
+        name: (
+            gaps[first] if name == "pinch" else object_size(hand, grasps[name], largest=False),
+            object_size(hand, grasps[name], largest=True),
         )
-        for name in each("objects", list(several))
+        for name in each("objects", list(grasps))
     }
     tips = np.swapaxes(sample_reach(hand, _POSES) - hand.wrist, 0, 1)
     reach = {finger: _reach(own) for finger, own in zip(hand.fingers, tips, strict=True)}
     standard, taxonomy = standard_postures(), grasp_postures()
-    (faults,) = (posture_faults(hand, p) for p in each("postures", [standard | taxonomy]))
+    (faults,) = (posture_faults(hand, every) for every in each("postures", [standard | taxonomy]))
     return Scorecard(
         hand.name,
         hand.spec.side,

@@ -33,9 +33,11 @@ ANTIPODAL: Final = np.deg2rad(20.0)
 """Largest angle between a contact's normal and the line through the object [rad]."""
 _ROUGH: Final = 0.001  # error of a contact, from the spacing of points [m]
 _UNEQUAL: Final = 0.0015  # largest difference of two fingers' distances from the centre [m]
-_HELD: Final = 0.0005  # largest violation of all conditions together in a grasp [m]
+_TOLERANCE: Final = 0.0005  # largest violation of all conditions together in a grasp [m]
 _LARGE: Final = 0.3  # size of no object that a hand can hold [m]
-_STEPS: Final = 3
+_STEPS: Final = 3  # of the object's centre toward the middle of its contacts
+_WEIGHT: Final = 40.0  # cost of a violation, over the size
+_TINY: Final = 1e-6  # [m]
 _LONG: Final = 0.1  # half a cylinder's length [m]
 
 
@@ -79,65 +81,71 @@ def object_size(hand: Hand, grasp: Grasp, *, largest: bool) -> float | None:
     with the object; 0 if the surfaces touch. The same hand gives the same result in each run.
     """
     part = hand.model.body_weldid
-    ends = [int(part[s.bodies[0]]) for s in grasp.others]
-    first = {int(p) for p in part[grasp.first.bodies]}
-    held = _held(hand, grasp, first | set(ends))
+    ends = [int(part[surface.bodies[0]]) for surface in grasp.others]
+    first = {int(body) for body in part[grasp.first.bodies]}
+    fit = _fit(hand, grasp, first | set(ends))
     sign = -1.0 if largest else 1.0
 
     def cost(q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
-        size, fault = held(q)
-        return np.asarray(sign * size + _LARGE * largest + 40 * fault)
+        size, fault = fit(q)
+        return np.asarray(sign * size + _LARGE * largest + _WEIGHT * fault)
 
     touching = [(a, b) for a in first for b in ends]
     overlap = excess_overlap(hand, grasp.moving, touching, 2 * OVERLAP)
     pose, _ = best_pose(hand, grasp.moving, cost, overlap, 0.0 if largest else OVERLAP)
-    (size,), (fault,) = held(pose[None])
-    if fault + overlap(pose[None])[0] > _HELD:
+    (size,), (fault,) = fit(pose[None])
+    if fault + overlap(pose[None])[0] > _TOLERANCE:
         return None
     return float(size) if size > OVERLAP else 0.0
 
 
-_Holding = Callable[[Float[np.ndarray, "T m"]], tuple[np.ndarray, np.ndarray]]
+_Fit = Callable[[Float[np.ndarray, "T m"]], tuple[np.ndarray, np.ndarray]]
 
 
-def _held(hand: Hand, grasp: Grasp, ends: set[int]) -> _Holding:
-    """Function of poses: diameter of the object, and violation of the conditions of a grasp [m]."""
+def _fit(hand: Hand, grasp: Grasp, ends: set[int]) -> _Fit:
+    """Function of (T, m) poses [rad]: (T,) diameter of the object between the surfaces [m], and
+    (T,) violation of the conditions of a grasp [m].
+
+    Args:
+        ends: parts that touch the object.
+    """
     pads = [grasp.first, *grasp.others]
-    posed = PosedBodies(hand, [int(b) for pad in pads for b in pad.bodies])
-    flat = np.eye(3) - np.outer(grasp.axis, grasp.axis)
+    posed = PosedBodies(hand, [int(body) for pad in pads for body in pad.bodies])
+    flat = np.eye(3) - np.outer(grasp.axis, grasp.axis)  # a cylinder is a circle across its axis
     every, part = parts_apart(hand), hand.model.body_weldid
-    own = np.array([int(part[c.body]) in ends for c in every.capsules])
-    at = np.array([every.tree.names.index(name) for name in every.names])
-    at = at.reshape(-1, 2)[~own]
-    radii = np.array([c.radius for c in every.capsules])[~own]
+    obstacles = np.array([int(part[capsule.body]) not in ends for capsule in every.capsules])
+    at = np.array([every.tree.names.index(name) for name in every.names]).reshape(-1, 2)[obstacles]
+    radii = np.array([capsule.radius for capsule in every.capsules])[obstacles]
 
-    def held(q: Float[np.ndarray, "T m"]) -> tuple[np.ndarray, np.ndarray]:
-        full = hand.full_configuration(q)
-        points, normals = zip(*((p, n) for p, n in (posed(full, pad) for pad in pads)), strict=True)
-        middle = (points[0].mean(axis=1) + np.mean([p.mean(axis=1) for p in points[1:]], 0)) / 2
+    def fit(q: Float[np.ndarray, "T m"]) -> tuple[np.ndarray, np.ndarray]:
+        joints = hand.full_configuration(q)
+        surfaces = [posed(joints, pad) for pad in pads]
+        centres = [points.mean(axis=1) for points, _ in surfaces]
+        middle = (centres[0] + np.mean(centres[1:], axis=0)) / 2
         for _ in range(_STEPS):
-            touch = [_nearest(p, n, middle, flat) for p, n in zip(points, normals, strict=True)]
-            (a, _), *others = touch
-            way = unit_vectors((np.mean([b for b, _ in others], axis=0) - a) @ flat, np)
-            reach = [(b - a) @ flat for b, _ in others]
-            each = np.stack(
-                [(d * d).sum(-1) / np.maximum(2 * (d * way).sum(-1), 1e-6) for d in reach]
-            )
+            contacts = [_nearest(*surface, middle, flat) for surface in surfaces]
+            (start, first_normal), *others = contacts
+            reach = np.stack([(point - start) @ flat for point, _ in others])
+            way = unit_vectors(reach.mean(axis=0), np)
+            # radius of the circle through both contacts whose centre is on the way
+            each = (reach**2).sum(-1) / np.maximum(2 * (reach * way).sum(-1), _TINY)
             radius = np.minimum(each.mean(axis=0), _LARGE)
-            middle = a + way * radius[:, None]
+            middle = start + way * radius[:, None]
         fault = np.maximum(np.ptp(each, axis=0) - _UNEQUAL, 0.0)
-        for x, n in touch:
-            lean = radius * np.cos(ANTIPODAL) - (n * ((middle - x) @ flat)).sum(-1)
-            fault = fault + np.maximum(lean - _ROUGH, 0.0)
-        facing = np.mean([(touch[0][1] * n).sum(-1) for _, n in others], axis=0)
+        for point, normal in contacts:
+            inward = (normal * ((middle - point) @ flat)).sum(-1)
+            fault = fault + np.maximum(radius * np.cos(ANTIPODAL) - inward - _ROUGH, 0.0)
+        facing = np.mean([(first_normal * normal).sum(-1) for _, normal in others], axis=0)
         fault = fault + TIP * np.maximum(facing + np.cos(2 * ANTIPODAL), 0.0)
-        links = np.asarray(every.tree.positions(full))[:, at]
-        object_ = middle[:, None] + _LONG * np.outer((-1, 1), grasp.axis)[:, None, None]
-        apart, _, _ = segments_apart((links[:, :, 0], links[:, :, 1]), (object_[0], object_[1]))
-        room = (np.linalg.norm(apart, axis=-1) - radii).min(axis=1)
+        links = np.asarray(every.tree.positions(joints))[:, at]
+        ends_of_axis = middle[:, None] + _LONG * np.outer((-1, 1), grasp.axis)[:, None, None]
+        between, _, _ = segments_apart(
+            (links[:, :, 0], links[:, :, 1]), (ends_of_axis[0], ends_of_axis[1])
+        )
+        room = (np.linalg.norm(between, axis=-1) - radii).min(axis=1)
         return 2 * radius, fault + np.maximum(radius - OVERLAP - room, 0.0)
 
-    return held
+    return fit
 
 
 def _nearest(

@@ -70,8 +70,8 @@ class Touch:
 
     Attributes:
         stage: Kapandji's stage, 0 to 10.
-        distance: distance of the thumb's tip from the place in the best pose without collisions
-            [m].
+        distance: distance of the thumb's tip from the place in the best pose [m], and ten times
+            the overlap of parts beyond what is allowed, which such a pose seldom has.
         pose: (m,) that pose of the actuated joints [rad].
         point: (3,) the place in that pose, in the palm frame [m].
         normal: (3,) its outward normal.
@@ -107,10 +107,10 @@ def kapandji_touches(
     """
     free, straight = list[Touch](), list[Touch]()
     for place in track(kapandji_places(hand)):
-        held = _best_touch(hand, place, straight=True)
-        bent = held if held.touched else _best_touch(hand, place, straight=False)
-        straight.append(held)
-        free.append(min(held, bent, key=lambda touch: touch.distance))
+        stiff = _best_touch(hand, place, straight=True)
+        bent = stiff if stiff.touched else _best_touch(hand, place, straight=False)
+        straight.append(stiff)
+        free.append(min(stiff, bent, key=lambda touch: touch.distance))
     return free, straight
 
 

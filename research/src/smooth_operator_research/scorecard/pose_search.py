@@ -25,7 +25,7 @@ OVERLAP: Final = 0.001
 TIP: Final = 0.015
 """Length of a finger's tip [m]: the part of its last link that touches."""
 _NAIL: Final = -0.5  # cosine between a normal and the direction of bending, of the nail's edge
-_NUDGE: Final = 0.1  # [rad]
+_NUDGE: Final = 0.1  # step of a joint that shows in which direction it moves the tip [rad]
 _WEIGHT: Final = 10.0  # cost of an overlap beyond the limit, over a distance
 _RANDOM: Final = 600
 _STARTS: Final = 4
@@ -108,7 +108,7 @@ def excess_overlap(
         deep: overlap of these that is allowed [m].
 
     Returns:
-        a function from (T, m) poses [rad] to the sum of the overlaps beyond the limits (T,) [m].
+        a function from (T, m) poses [rad] to the (T,) largest overlap beyond its limit [m].
     """
     every = parts_apart(hand)
     part = hand.model.body_weldid[[capsule.body for capsule in every.capsules]]
@@ -122,7 +122,7 @@ def excess_overlap(
     def overlap(q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
         if not len(limits):
             return np.zeros(len(q))
-        depths = [found for _, found in pairs.depths(hand.full_configuration(q))]
+        depths = [each for _, each in pairs.depths(hand.full_configuration(q))]
         return np.asarray(np.maximum(np.concatenate(depths) - limits, 0.0).max(axis=1))
 
     return overlap
