@@ -60,14 +60,12 @@ def _set_up_environment() -> None:
     os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
     # Nobody reads where in Python each operation of a program came from; to note it costs a tenth.
     os.environ.setdefault("JAX_INCLUDE_FULL_TRACEBACKS_IN_LOCATIONS", "0")
-    # Programs compile in half the time without XLA's newer emitter of loops, and in a fifth less if
-    # their machine code is not split for other cores. XLA ends a process for a flag that it doesn't
-    # know, so other versions have none.
+    # Programs compile in half the time without XLA's newer emitter of loops. XLA ends a process for
+    # a flag that it doesn't know, so other versions have none.
     lock = HOME / "requirements.lock"
     locked = lock.read_text(encoding="utf-8").split() if lock.is_file() else []
     if f"jaxlib=={metadata.version('jaxlib')}" in locked:
-        flags = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-        os.environ.setdefault("XLA_FLAGS", flags)
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
     # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,
     # and 0.1 s on one thread. Workers of pytest-xdist load NumPy after this, so it holds for them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
