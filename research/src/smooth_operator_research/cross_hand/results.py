@@ -1,8 +1,14 @@
 """Results of the cross-hand matrix in one small text file, which a later run continues.
 
-A line of the file is a cell: a task, hand, method and tracker, computed by one state of the code.
-Its trials are columns: world numbers and times as lists, everything else as a string with one
-character per trial. 10,000 trials take about 200 kB.
+A line of the file is a JSON object with a cell (``task``, ``hand``, ``method``, ``tracker``), the
+digest of the ``code`` that computed it, and its trials as columns:
+
+- ``worlds``, ``seconds`` and ``mechanism`` (absent if all are 0): a list with a number per trial;
+- ``scores`` (twice the score), ``ends`` (``ENDS``) and ``contacts`` (``CONTACTS``): a string with a
+  character per trial;
+- ``reason``: a string with a letter per trial, ``a`` for the first one of the list ``reasons``.
+
+A hand that can't do the task has an ``obstacle`` instead. 40,000 trials take 1 MB.
 """
 
 from __future__ import annotations
