@@ -142,7 +142,7 @@ def hammer_plan(scene: HammerScene) -> Plan:
             at(0.1, deep, _FIST),
         ]
     waypoints += [at(0.6, above(0.05), _FIST), at(1.0, above(0.05), _FIST)]
-    return Plan(waypoints, _OPEN_FIST, "fist")
+    return Plan(waypoints, _OPEN_FIST - 0.002, "fist")  # touches as soon as it closes
 
 
 _TONGS_PITCH: Final = np.radians(40.0)
