@@ -100,7 +100,7 @@ def test_a_difference_has_newcombes_interval():
 
 def test_the_table_shows_what_is_finished(tmp_path):
     settings = small(tmp_path)
-    assert policies.table(settings).splitlines()[2].count("–") == 7
+    assert policies.table(settings).splitlines()[2].count("–") == 8
     folder = Condition("mimic_p050", "smooth").folder(settings)
     folder.mkdir(parents=True)
     (folder / "demonstrations.json").write_text(
@@ -108,7 +108,8 @@ def test_the_table_shows_what_is_finished(tmp_path):
     )
     (folder / "seed-0.json").write_text(json.dumps({"scores": [1.0, 0.5]}))
     cells = [cell.strip() for cell in policies.table(settings).splitlines()[2].split("|")]
-    assert cells[3:9] == ["3 of 4", "1.3", "2.0", "50 (9 to 91)", "50 (9 to 91)", "0.75"]
+    half, whole = "50 (9 to 91)", "100 (34 to 100)"
+    assert cells[3:11] == ["3 of 4 (1.3)", "2.0", half, half, "–", whole, whole, "–"]
 
 
 @pytest.mark.weekly
