@@ -36,6 +36,7 @@ _UNEQUAL: Final = 0.0015  # largest difference of two fingers' distances from th
 _TOLERANCE: Final = 0.0005  # largest violation of all conditions together in a grasp [m]
 _LARGE: Final = 0.3  # size of no object that a hand can hold [m]
 _STEPS: Final = 3  # of the object's centre toward the middle of its contacts
+_STARTS: Final = 8
 _WEIGHT: Final = 40.0  # cost of a violation, over the size
 _TINY: Final = 1e-6  # [m]
 _LONG: Final = 0.1  # half a cylinder's length [m]
@@ -92,7 +93,7 @@ def object_size(hand: Hand, grasp: Grasp, *, largest: bool) -> float | None:
 
     touching = [(a, b) for a in first for b in ends]
     overlap = excess_overlap(hand, grasp.moving, touching, 2 * OVERLAP)
-    pose, _ = best_pose(hand, grasp.moving, cost, overlap, 0.0 if largest else OVERLAP)
+    pose, _ = best_pose(hand, grasp.moving, cost, overlap, 0.0 if largest else OVERLAP, _STARTS)
     (size,), (fault,) = fit(pose[None])
     if fault + overlap(pose[None])[0] > _TOLERANCE:
         return None

@@ -47,6 +47,7 @@ TOUCHED: Final = 0.002
 PATCH: Final = 0.005
 """Radius of a place [m]."""
 _AROUND: Final = 0.003  # distance from a ray at which the surface is sought [m]
+_STARTS: Final = 6
 _FACING: Final = -0.2  # largest cosine between the normals of two surfaces that touch
 
 
@@ -184,6 +185,6 @@ def _best_touch(hand: Hand, place: Place, straight: bool) -> Touch:
         return np.asarray((away + TIP * facing).min(axis=1))
 
     overlap = excess_overlap(hand, moving, touching, TOUCHED)
-    pose, cost = best_pose(hand, moving, distance, overlap, TOUCHED / 2)
+    pose, cost = best_pose(hand, moving, distance, overlap, TOUCHED / 2, _STARTS)
     point, normal = posed(hand.full_configuration(pose)[None], place.surface)
     return Touch(place.stage, cost, pose, point[0, 0], normal[0, 0])

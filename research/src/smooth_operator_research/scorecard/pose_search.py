@@ -27,11 +27,10 @@ TIP: Final = 0.015
 _NAIL: Final = -0.5  # cosine between a normal and the direction of bending, of the nail's edge
 _NUDGE: Final = 0.1  # step of a joint that shows in which direction it moves the tip [rad]
 _WEIGHT: Final = 10.0  # cost of an overlap beyond the limit, over a distance
-_RANDOM: Final = 600
-_STARTS: Final = 4
-_TRIALS: Final = 20
-_ROUNDS: Final = 20
-_PATIENCE: Final = 5  # rounds in which the best cost has to fall by 2 %
+_RANDOM: Final = 200  # random poses for each start
+_TRIALS: Final = 4  # trials of a start in a round, over the number of starts
+_ROUNDS: Final = 24
+_PATIENCE: Final = 6  # rounds in which the best cost has to fall by 2 %
 _WIDTH: Final = 0.2  # first standard deviation of the trials, over a joint's range
 _SHRINK: Final = 0.82  # of the standard deviation in each round
 
@@ -44,18 +43,19 @@ class Cost(Protocol):
 
 
 def best_pose(
-    hand: Hand, fingers: Iterable[str], cost: Cost, overlap: Cost, stop: float
+    hand: Hand, fingers: Iterable[str], cost: Cost, overlap: Cost, stop: float, starts: int
 ) -> tuple[Float[np.ndarray, " m"], float]:
     """The pose of least cost that moves some fingers from the straight pose.
 
-    The best of 600 random poses start a local search: rounds of normally distributed trials that
-    become narrower. The random numbers are the same in each run.
+    The best of 200 random poses per start begin a local search: rounds of normally distributed
+    trials that become narrower. The random numbers are the same in each run.
 
     Args:
         fingers: names of the fingers that move.
         cost: the cost, without collisions [m].
         overlap: overlap beyond what is allowed [m]; it adds ten times itself to the cost.
         stop: cost at which the search ends [m].
+        starts: number of poses that are improved.
 
     Returns:
         (m,) the pose [rad] and its cost [m].
@@ -63,21 +63,21 @@ def best_pose(
     rng, base = np.random.default_rng(0), hand.straight_pose.q
     free = np.flatnonzero(moving_joints(hand, fingers))
     low, high = hand.limits[free].T
-    poses = np.tile(base, (_RANDOM, 1))
-    poses[1:, free] = rng.uniform(low, high, (_RANDOM - 1, len(free)))
-    best = poses[np.argsort(cost(poses), kind="stable")[:_STARTS]]
+    poses = np.tile(base, (_RANDOM * starts, 1))
+    poses[1:, free] = rng.uniform(low, high, (len(poses) - 1, len(free)))
+    best = poses[np.argsort(cost(poses), kind="stable")[:starts]]
     values = cost(best) + _WEIGHT * overlap(best)
     width, least = _WIDTH, list[float]()
     for _ in range(_ROUNDS):
         least.append(float(values.min()))
         if least[-1] <= stop or (len(least) > _PATIENCE and least[-1] > 0.98 * least[-_PATIENCE]):
             break
-        trials = np.repeat(best[:, None], _TRIALS, axis=1)
-        moves = width * (high - low) * rng.normal(size=(_STARTS, _TRIALS, len(free)))
+        trials = np.repeat(best[:, None], _TRIALS * starts, axis=1)
+        moves = width * (high - low) * rng.normal(size=(*trials.shape[:2], len(free)))
         trials[:, :, free] = np.clip(trials[:, :, free] + moves, low, high)
         flat = trials.reshape(-1, trials.shape[-1])
-        costs = (cost(flat) + _WEIGHT * overlap(flat)).reshape(_STARTS, _TRIALS)
-        nearest, rows = costs.argmin(axis=1), np.arange(_STARTS)
+        costs = (cost(flat) + _WEIGHT * overlap(flat)).reshape(trials.shape[:2])
+        nearest, rows = costs.argmin(axis=1), np.arange(starts)
         better = costs[rows, nearest] < values
         best = np.where(better[:, None], trials[rows, nearest], best)
         values = np.where(better, costs[rows, nearest], values)
