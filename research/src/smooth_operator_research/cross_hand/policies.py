@@ -59,8 +59,10 @@ FPS: Final = 25
 """Rate of observations and actions [Hz]."""
 
 FIRST_TRAINING_WORLD: Final = 2000
-"""World of the first recording. Policies are evaluated in the worlds from 0; the human was tuned in
-those from 1000."""
+"""World of the first recording; the human was tuned in the worlds from 1000."""
+
+FIRST_TEST_WORLD: Final = 100
+"""First world of an evaluation; the training was tuned in the worlds 0 to 9."""
 
 POLICY: Final[dict[str, Any]] = {
     "dim_model": 128,
@@ -333,7 +335,7 @@ def train(settings: Settings, folder: Path, seed: int) -> tuple[Any, Any, Any, f
 def evaluate(
     settings: Settings, condition: Condition, start: list[float], trained: Sequence[Any]
 ) -> list[float]:
-    """Evaluates a policy in the worlds from 0 with LeRobot's own evaluation; returns the scores."""
+    """Evaluates a policy in the test worlds with LeRobot's own evaluation; returns the scores."""
     import torch
     from lerobot.envs.factory import make_env
     from lerobot.processor import PolicyProcessorPipeline
@@ -344,10 +346,9 @@ def evaluate(
     count = min(TOGETHER, settings.worlds)
     ((worlds,),) = (suite.values() for suite in make_env(config, n_envs=count).values())
     unchanged: Any = PolicyProcessorPipeline(steps=[])
+    parts = worlds, policy, unchanged, unchanged, before, after
     with torch.no_grad():
-        result = eval_policy(
-            worlds, policy, unchanged, unchanged, before, after, settings.worlds, start_seed=0
-        )
+        result = eval_policy(*parts, settings.worlds, start_seed=FIRST_TEST_WORLD)
     worlds.close()
     return [float(episode["max_reward"]) for episode in result["per_episode"]]
 
