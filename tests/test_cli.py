@@ -181,7 +181,7 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
             "'paper' is a preset of sbr",
         ),
         "frames": (("retarget", glove, "--frames", "90:99", *to), "selects nothing"),
-        "scale": (("retarget", glove, "--scale", "77", *to), "between 0.1 and 10"),
+        "scale": (("retarget", glove, "--scale", "77", *to), "0.1 to 10"),
         "suffix": (("retarget", glove, "--output", folder / "out.csv"), "end in .npz"),
         "onto itself": (("retarget", glove, "--output", glove), "is the recording itself"),
         "foreign json": (

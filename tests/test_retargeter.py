@@ -541,7 +541,7 @@ def test_recordings_are_aligned_frame_by_frame(frames):
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, 50.0])
 def test_scales_are_checked(scale):
-    with pytest.raises(ConfigError, match=r"between 0\.1 and 10"):
+    with pytest.raises(ConfigError, match=r"0\.1 to 10"):
         AlignmentConfig(scale=scale)
 
 
