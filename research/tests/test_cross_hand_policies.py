@@ -31,7 +31,7 @@ def small(folder: Path, **changes) -> Settings:
         steps=2,
         seeds=2,
         worlds=2,
-        seconds=1.0,
+        seconds=8.0,
         output=folder,
         **changes,
     )
@@ -112,7 +112,6 @@ def test_the_table_shows_what_is_finished(tmp_path):
     assert cells[3:11] == ["3 of 4 (1.3)", "2.0", half, half, "–", whole, whole, "–"]
 
 
-@pytest.mark.weekly
 def test_the_same_seed_gives_the_same_policy(environment, tmp_path):
     pytest.importorskip("lerobot", reason="lerobot is not installed")
     settings = small(tmp_path)
