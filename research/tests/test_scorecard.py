@@ -13,7 +13,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.synthetic.gestures import FREE_LOWER, FREE_UPPER
 from smooth_operator_research.scorecard.card import hand_scorecard
-from smooth_operator_research.scorecard.command import print_scorecard
+from smooth_operator_research.scorecard.command import kapandji_picture, print_scorecard
 from smooth_operator_research.scorecard.grasp_sizes import object_size, pinch
 from smooth_operator_research.scorecard.kapandji import (
     PATCH,
@@ -129,3 +129,13 @@ def test_a_broken_model_gets_a_clear_error(tmp_path):
     options = Check(hand=str(spec), scorecard=True)
     with pytest.raises(HandModelError, match=r"absent\.xml"):
         print_scorecard(options, lambda what, steps: steps)
+
+
+def test_the_picture_shows_the_place_in_red_in_the_middle_of_a_view(wuji, wuji_touches):
+    picture = np.asarray(kapandji_picture(wuji, wuji_touches[0][:1], 1, 60), float)
+    assert picture.shape == (60, 120, 3)
+    red = (picture[..., 0] > 120) & (picture[..., 1:].max(axis=-1) < 60)
+    rows, columns = np.nonzero(red)
+    assert len(rows)
+    assert np.abs(rows - 30).max() < 8
+    assert np.minimum(np.abs(columns - 30), np.abs(columns - 90)).max() < 8

@@ -87,8 +87,10 @@ def kapandji_picture(hand: Hand, touches: Sequence[Touch], columns: int, size: i
         posed = shape.surface(hand.full_configuration(touch.pose))
         mark = rod(touch.point, touch.point, _MARK)
         red = np.tile(np.array((225, 30, 30), np.uint8), (len(mark), 1))
+        near = (np.abs(posed.triangles - touch.point).max(axis=-1) < 2 * _HALF).any(axis=-1)
         drawn = Surface(
-            np.concatenate([posed.triangles, mark]), np.concatenate([posed.colors, red])
+            np.concatenate([posed.triangles[near], mark]),
+            np.concatenate([posed.colors[near], red]),
         )
         across = np.cross(touch.normal, shape.view[1])
         across /= max(float(np.linalg.norm(across)), 1e-9)
@@ -126,16 +128,10 @@ def _write_page(hand: Hand, card: Scorecard, path: Path) -> None:
     caption = "Pose at each place (red), from the palm and across. " + "; ".join(
         f"{touch.stage}: {PLACES[touch.stage]}" for touch in card.free
     )
+    picture = plots.picture(kapandji_picture(hand, card.free, 3), "kapandji", caption)
     sections = [
         ("Card", "card", join([table, paragraph(RULES)])),
-        *(
-            (
-                f"Kapandji, fingers {name}",
-                name,
-                plots.picture(kapandji_picture(hand, touches, 3), name, caption),
-            )
-            for name, touches in (("free", card.free), ("straight", card.straight))
-        ),
+        ("Kapandji, fingers free", "kapandji", picture),
     ]
     write_report_page(
         path, title, element("h1", escape(title)), sections, "smooth-operator hands check"
