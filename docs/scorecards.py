@@ -45,13 +45,13 @@ def measure(name: str) -> str:
     card = FOLDER / f"{name}.json"
     if not card.exists():
         hand = load_hand(name)
-        found = hand_scorecard(hand)
+        scorecard = hand_scorecard(hand)
         strip = Image.new("RGB", (2 * SIZE * len(_STAGES), SIZE), "white")
-        for touch in found.free:
+        for touch in scorecard.free:
             picture = kapandji_picture(hand, [touch], 1, SIZE)
             strip.paste(picture, (2 * SIZE * touch.stage, 0))
         strip.save(card.with_suffix(".png"))
-        card.write_text(json.dumps(found.to_json()), encoding="utf-8")
+        card.write_text(json.dumps(scorecard.to_json()), encoding="utf-8")
     return name
 
 

@@ -112,11 +112,11 @@ def observed() -> tuple[Scene, SceneState]:
 def trial(*moments: tuple[float, tuple[float, float, float], dict]) -> TaskRun:
     """A trial whose object is at the given times at places relative to the target, held by a
     finger."""
-    scene, seen = observed()
+    scene, state = observed()
     run = TaskRun(TASKS["relocate"], scene).go(0.0)
-    force = seen.force.copy()
+    force = state.force.copy()
     force[1] = 1.0
-    held = replace(seen, force=force, support=0.0, velocity=np.zeros(3))
+    held = replace(state, force=force, support=0.0, velocity=np.zeros(3))
     for time, place, changes in moments:
         position = scene.target + place
         run = run.observe(replace(held, time=time, position=position, **changes))

@@ -26,7 +26,7 @@ TINY = MatrixSettings(
 
 @pytest.fixture
 def blocks(monkeypatch):
-    """Replaces trials by made ones: smooth succeeds, ako does not. Collects the blocks."""
+    """Replaces trials by simulated results: smooth succeeds, ako does not. Collects the blocks."""
     done = []
 
     def fake(block):
@@ -132,24 +132,24 @@ def test_a_file_keeps_every_trial_in_little_space_and_refuses_other_content(tmp_
     path = tmp_path / "matrix.jsonl"
     results = MatrixResults(path)
     cell = Cell("hammer", "leap_hand", "sbr:paper", "camera")
-    made = {
+    trials = {
         world: Trial(0.5, f"reason {world % 3}", "dtf"[world % 3], "ntfsb"[world % 5], 3.25, 0.0123)
         for world in range(2, 100, 3)
     }
-    results.add(cell, "0123456789ab", Row(made))
+    results.add(cell, "0123456789ab", Row(trials))
     results.write()
     ((again, code), row), *others = MatrixResults(path).rows.items()
     assert (again, code, others) == (cell, "0123456789ab", [])
-    assert row.trials == made
-    assert path.stat().st_size / len(made) < 30
+    assert row.trials == trials
+    assert path.stat().st_size / len(trials) < 30
     path.write_text(json.dumps({"task": "cube"}) + "\n")
     with pytest.raises(DocumentError, match=r"line 1 of .*matrix\.jsonl is not a cell"):
         MatrixResults(path)
 
 
 def test_a_hundred_worlds_share_the_trackers_and_unknown_names_are_errors():
-    seen = [tracker_of(world) for world in range(100)]
-    assert [seen.count(name) for name in ("glove", "headset", "camera")] == [34, 33, 33]
+    trackers = [tracker_of(world) for world in range(100)]
+    assert [trackers.count(name) for name in ("glove", "headset", "camera")] == [34, 33, 33]
     assert tracker_of(7, ("camera",)) == "camera"
     for error, settings in (
         (UnknownNameError, {"tasks": ("juggle",)}),

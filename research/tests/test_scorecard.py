@@ -66,8 +66,8 @@ def test_inspires_thumb_does_not_reach_the_little_finger():
 def test_mujoco_measures_the_same_touch_within_the_limits(wuji, wuji_touches):
     touch = wuji_touches[0][0]  # the tip of the index finger
     q = wuji.full_configuration(touch.pose)[None]
-    wanted = np.array([[True, False, False, False]])
-    apart = tip_surface_distances(wuji, q, wanted)[0, 0]
+    pairs = np.array([[True, False, False, False]])
+    apart = tip_surface_distances(wuji, q, pairs)[0, 0]
     assert -TOUCHED <= apart <= TOUCHED + 0.001  # points are 2 mm apart
     assert penetration_depths(wuji, q)[0] <= TOUCHED
     low, high = wuji.limits.T

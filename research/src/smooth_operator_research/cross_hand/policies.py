@@ -9,8 +9,8 @@ the recordings are retargeted and played open loop in the environment ``smooth_h
 worlds; the successes become a LeRobot data set. LeRobot's ACT, small enough for a processor, is
 trained on it with several seeds, and each policy is evaluated in other worlds, the same ones for
 all. Each finished data set and policy is kept in the output folder, so that the same command
-continues a stopped run; another size needs another folder. ``--docs`` writes the table of what is
-finished into a page.
+continues a stopped run; another size needs another folder. ``--docs`` writes the table of the
+finished results into a page.
 
 Intervals (95 %) of one policy are Wilson's over its worlds. Intervals of a
 condition are Student's t over its training seeds, and at least as wide as Wilson's for as many
@@ -37,7 +37,6 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.benchmark.cells import select_methods
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.known_gaps import known_gaps
@@ -46,6 +45,7 @@ from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.tasks import task_named
 from smooth_operator_research.cross_hand import fixed_wrist, human
 from smooth_operator_research.cross_hand.replay import STAYS_S, wrist_path
+from smooth_operator_research.cross_hand.trials import method_of
 from smooth_operator_research.paper.docs_tables import replaced
 from smooth_operator_research.paper.intervals import independent, mean_of
 from smooth_operator_research.physics.results import wilson
@@ -173,9 +173,8 @@ def derive_actions(
         for each world (t, a) actions at ``FPS``: positions of the actuated joints [rad]; with a
         moving wrist also its position [m] and rotation vector [rad] relative to its start.
     """
-    (method,) = select_methods((condition.method,))
-    hand = load_hand(condition.hand)
-    retargeter = BatchRetargeter(hand, config=method.config, pinch_gaps=known_gaps(tracker))
+    hand, config = load_hand(condition.hand), method_of(condition.method)
+    retargeter = BatchRetargeter(hand, config=config, pinch_gaps=known_gaps(tracker))
     source = human if task_named(task).moves_wrist else fixed_wrist
     demonstrations = [source.record(task, world, tracker) for world in worlds]
     batch = retargeter.batch([each.recording for each in demonstrations], seed=0, lanes=1)
@@ -426,7 +425,7 @@ HEADER: Final = (
 
 
 def table(settings: Settings) -> str:
-    """Makes the Markdown table of what is finished."""
+    """Makes the Markdown table of the finished results."""
     rows: list[list[object]] = []
     first: dict[float, Share] = {}
     for name in settings.conditions:
