@@ -8,7 +8,7 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.cli.options import COMMANDS
-from smooth_operator_research.code import research_digest
+from smooth_operator_research.code import research_digest, statements
 from smooth_operator_research.paper.experiment import experiment_code
 from smooth_operator_research.physics import suite
 from smooth_operator_research.study_simulation import run
@@ -48,3 +48,18 @@ def test_the_code_that_results_depend_on_has_a_digest():
     assert experiment_code()
     assert research_digest(*suite._CODE)
     assert run._code()
+
+
+def test_statements_leave_out_comments_and_docstrings(tmp_path):
+    path = tmp_path / "code.py"
+
+    def code(text):
+        path.write_text(text)
+        return statements(path)
+
+    plain = code("LIMIT = 1\n\ndef f(x):\n    return x + LIMIT\n")
+    assert plain == code(
+        '"""Module."""\nLIMIT = 1\n"""Limit."""\ndef f(x):  # why\n'
+        '    """Adds."""\n    return (\n        x + LIMIT\n    )\n'
+    )
+    assert plain != code("LIMIT = 2\n\ndef f(x):\n    return x + LIMIT\n")

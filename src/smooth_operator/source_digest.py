@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -12,11 +13,14 @@ HOME: Final = Path(__file__).resolve().parent
 
 
 @cache
-def code_digest(*names: str, home: Path = HOME) -> str:
+def code_digest(
+    *names: str, home: Path = HOME, content: Callable[[Path], bytes] = Path.read_bytes
+) -> str:
     """SHA-256 of names and contents of some files and folders of this package.
 
     Args:
         names: paths relative to ``home``; a folder stands for all files below it, data included.
+        content: reads what counts of a file.
 
     Returns:
         the digest, hexadecimal.
@@ -33,5 +37,5 @@ def code_digest(*names: str, home: Path = HOME) -> str:
             )
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.is_file() and file.suffix != ".pyc":
-                total.update(file.relative_to(home).as_posix().encode() + b"\0" + file.read_bytes())
+                total.update(file.relative_to(home).as_posix().encode() + b"\0" + content(file))
     return total.hexdigest()

@@ -38,14 +38,11 @@ from jaxtyping import Float
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.retargeting.batching import BatchRetargeter
-from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.start import start_jax
 from smooth_operator.simulation.scenes import scene_for
-from smooth_operator.simulation.tasks import task_named
-from smooth_operator_research.cross_hand import fixed_wrist, human
+from smooth_operator_research.cross_hand.human import HumanDemonstration
 from smooth_operator_research.cross_hand.replay import STAYS_S, wrist_path
-from smooth_operator_research.cross_hand.trials import method_of
+from smooth_operator_research.cross_hand.trials import record, retarget
 from smooth_operator_research.paper.docs_tables import replaced
 from smooth_operator_research.paper.intervals import independent, mean_of
 from smooth_operator_research.physics.results import wilson
@@ -173,15 +170,13 @@ def derive_actions(
         for each world (t, a) actions at ``FPS``: positions of the actuated joints [rad]; with a
         moving wrist also its position [m] and rotation vector [rad] relative to its start.
     """
-    hand, config = load_hand(condition.hand), method_of(condition.method)
-    retargeter = BatchRetargeter(hand, config=config, pinch_gaps=known_gaps(tracker))
-    source = human if task_named(task).moves_wrist else fixed_wrist
-    demonstrations = [source.record(task, world, tracker) for world in worlds]
-    batch = retargeter.batch([each.recording for each in demonstrations], seed=0, lanes=1)
+    hand = load_hand(condition.hand)
+    demonstrations = [record(task, world, tracker) for world in worlds]
+    retargeted = retarget(hand, condition.method, demonstrations, tracker)
     actions = []
-    for demonstration, (commands, _) in zip(demonstrations, batch, strict=True):
+    for demonstration, commands in zip(demonstrations, retargeted, strict=True):
         targets = commands.joint_positions[:, list(hand.actuated)]
-        if isinstance(demonstration, human.HumanDemonstration):
+        if isinstance(demonstration, HumanDemonstration):
             scene = demonstration.variation.scene(scene_for(task, hand))
             path = wrist_path(hand, demonstration, commands.joint_positions, scene)
             apart = poses.relative(scene.mount.wrist_pose, path)

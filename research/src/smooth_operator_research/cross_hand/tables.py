@@ -156,7 +156,7 @@ def means_table(outcomes: Outcomes) -> Table:
             parts = [
                 p for task in tasks if np.isfinite(p := outcomes.successes(task, method)).any()
             ]
-            row.append(_estimate(parts) if parts else "–")
+            row.append(_estimate(parts, _draws(parts)) if parts else "–")
         rows.append(row)
     return Table("means", ["task", "hands", *map(label, outcomes.methods)], rows)
 
@@ -167,9 +167,15 @@ def _able(outcomes: Outcomes, tasks: Sequence[str]) -> int:
     return len(set.intersection(*able)) if able else 0
 
 
-def _estimate(parts: Sequence[Float[np.ndarray, "h w"]], sign: str = "") -> str:
+def _draws(parts: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, " b"]:
+    """Resampled means of several tasks."""
+    return np.asarray(np.mean([bootstrap(part, seed) for seed, part in enumerate(parts)], axis=0))
+
+
+def _estimate(
+    parts: Sequence[Float[np.ndarray, "h w"]], draws: Float[np.ndarray, " b"], sign: str = ""
+) -> str:
     """Mean of several tasks, with its bootstrap interval."""
-    draws = np.mean([bootstrap(part, seed) for seed, part in enumerate(parts)], axis=0)
     low, high = np.percentile(draws, [2.5, 97.5])
     value = np.mean([mean_over_hands(part) for part in parts])
     return f"{value:{sign}.2f} [{low:{sign}.2f}, {high:{sign}.2f}]".replace("-", "−")
@@ -191,8 +197,8 @@ def differences_table(outcomes: Outcomes) -> Table:
             if not parts:
                 texts[-1].append("–")
                 continue
-            texts[-1].append(_estimate(parts, "+"))
-            draws = np.mean([bootstrap(part, seed) for seed, part in enumerate(parts)], axis=0)
+            draws = _draws(parts)
+            texts[-1].append(_estimate(parts, draws, "+"))
             chances.append(two_sided(draws))
     corrected = iter(holm(chances))
     rows = [
@@ -227,7 +233,7 @@ def trackers_table(outcomes: Outcomes) -> Table:
                 for task in outcomes.tasks
                 if np.isfinite(part := outcomes.successes(task, method, tracker)).any()
             ]
-            row.append(_estimate(parts) if parts else "–")
+            row.append(_estimate(parts, _draws(parts)) if parts else "–")
         rows.append(row)
     return Table("trackers", ["tracker", *map(label, outcomes.methods)], rows)
 

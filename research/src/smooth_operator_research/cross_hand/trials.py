@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 from smooth_operator.benchmark.cells import select_methods
 from smooth_operator.errors import SmoothOperatorError
@@ -17,6 +17,7 @@ from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.simulation.tasks.task import PRESSES_N
+from smooth_operator.types import CommandTrajectory
 from smooth_operator_research.cross_hand import fixed_wrist, human, replay
 from smooth_operator_research.cross_hand.fixed_wrist import FixedWristDemonstration, Watch
 from smooth_operator_research.cross_hand.human import HumanDemonstration
@@ -75,17 +76,12 @@ def play_block(
         for world, _ in block.worlds:
             yield fixed_wrist.play_own(hand, block.task, world, watch)
         return
-    demonstrations = [_record(block.task, *world) for world in block.worlds]
-    config = method_of(block.method)
+    demonstrations = [record(block.task, *world) for world in block.worlds]
     joints = {}
     for chosen in dict.fromkeys(tracker for _, tracker in block.worlds):
         places = [k for k, (_, tracker) in enumerate(block.worlds) if tracker == chosen]
-        retargeter = BatchRetargeter(
-            hand, config=config, pinch_gaps=known_gaps(chosen), cache=ProgramStore.of_user()
-        )
-        # With one lane no work is wasted on lanes without a recording.
-        batch = retargeter.batch([demonstrations[k].recording for k in places], lanes=1)
-        for k, (commands, _) in zip(places, batch, strict=True):
+        own = [demonstrations[k] for k in places]
+        for k, commands in zip(places, retarget(hand, block.method, own, chosen), strict=True):
             joints[k] = commands.joint_positions
     for k, demonstration in enumerate(demonstrations):
         if isinstance(demonstration, HumanDemonstration):
@@ -94,10 +90,32 @@ def play_block(
             yield fixed_wrist.play(hand, demonstration, joints[k], watch)
 
 
-def _record(task: str, world: int, tracker: str) -> HumanDemonstration | FixedWristDemonstration:
-    """What a tracker records of the human of a world."""
-    record = fixed_wrist.record if task in FIXED_WRIST else human.record
-    return record(task, world, tracker)
+Demonstration: TypeAlias = HumanDemonstration | FixedWristDemonstration
+
+
+def record(task: str, world: int, tracker: str) -> Demonstration:
+    """Records the human of a world with a tracker."""
+    source = fixed_wrist if task in FIXED_WRIST else human
+    return source.record(task, world, tracker)
+
+
+def retarget(
+    hand: Hand, method: str, demonstrations: Sequence[Demonstration], tracker: str
+) -> list[CommandTrajectory]:
+    """Retargets demonstrations that one kind of tracker recorded.
+
+    Args:
+        method: method and preset, such as ``sbr:paper``.
+    """
+    retargeter = BatchRetargeter(
+        hand,
+        config=method_of(method),
+        pinch_gaps=known_gaps(tracker),
+        cache=ProgramStore.of_user(),
+    )
+    # With one lane no work is wasted on lanes without a recording.
+    batch = retargeter.batch([each.recording for each in demonstrations], lanes=1)
+    return [commands for commands, _ in batch]
 
 
 def judge(moments: Iterable[Moment]) -> Trial:

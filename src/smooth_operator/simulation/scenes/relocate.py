@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final, Self
+from typing import Final, Self
 
 import mujoco
 import numpy as np
@@ -26,7 +26,6 @@ _ABOVE: Final = 0.20  # height of the grasp centre above the table at the start 
 _PITCH: Final = np.radians(45.0)  # tilt of the fingers down from level at the start
 _FRICTION: Final = (0.8, 0.002)  # rubber on plastic; torsion of a soft fingertip [m]
 _MARK: Final = 0.03  # radius of the mark at the target [m]
-_REACH: Final = 0.6  # half of the workspace's side [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +35,6 @@ class RelocateScene(TableScene):
     Attributes:
         shape: name of the object's shape in ``SHAPES``.
     """
-
-    view: ClassVar = (140.0, -20.0)
 
     shape: str
 
@@ -89,9 +86,6 @@ def relocate_scene(hand: Hand, shape: str = "ball", scale: float = 1.0) -> Reloc
     return RelocateScene(
         mount=at,
         start=(place, np.array([1.0, 0.0, 0.0, 0.0])),
-        lower=np.array([-_REACH, -_REACH, 0.0]),
-        upper=np.array([_REACH, _REACH, 1.0]),
-        fixture=False,
         target=np.array([0.0, 0.0, TOP]) + _TARGET,
         scale=scale,
         shape=shape,

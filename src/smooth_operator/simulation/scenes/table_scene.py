@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from typing import ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -29,9 +29,10 @@ GRASP_GAP: Final = 0.05
 _TABLE: Final = 0.3  # half of the table's side [m]
 _TABLE_FRICTION: Final = (0.5, 0.001)
 _ROLLING: Final = 0.001  # rolling resistance of the table's cloth [m]
+_REACH: Final = 0.6  # half of the side of the workspace [m]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TableScene(Scene):
     """Scene whose object lies on a table, around the origin of the world.
 
@@ -40,6 +41,11 @@ class TableScene(Scene):
         scale: factor of the lengths of object and goal.
     """
 
+    view: ClassVar = (140.0, -20.0)
+
+    lower: Float[np.ndarray, "3"] = field(default_factory=lambda: np.array([-_REACH, -_REACH, 0]))
+    upper: Float[np.ndarray, "3"] = field(default_factory=lambda: np.array([_REACH, _REACH, 1]))
+    fixture: bool = False
     target: Float[np.ndarray, "3"]
     scale: float
 

@@ -63,7 +63,6 @@ _ANGLE: Final = (GAPS[0] - GAPS[1]) / ARM[1]  # between the arms of open tongs [
 _STIFFNESS: Final = (SQUEEZE[1] - SQUEEZE[0]) * HINGE_AT / _ANGLE  # of their spring [N m/rad]
 _DAMPING: Final = 0.02  # [N m s/rad]
 _ABOVE: Final = 0.14  # height of the grasp centre above the grip at the start [m]
-_REACH: Final = 0.6  # half of the side of the workspace [m]
 _STOP: Final = ((0.004, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0))  # solref, solimp of a joint's end
 _WOOD, _STEEL, _BLUE = (0.75, 0.6, 0.42, 1.0), (0.55, 0.57, 0.6, 1.0), (0.0, 0.45, 0.7, 1.0)
 _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -77,7 +76,6 @@ class ToolScene(TableScene):
     end, which is on the thumb's side of the hand.
     """
 
-    view: ClassVar = (140.0, -20.0)
     pitch: ClassVar[float]  # tilt of the fingers down from level at the start [degrees]
     post: ClassVar[tuple[float, float, float]]  # half lengths of a post [m]
     posts: ClassVar[tuple[float, float]]  # places of the posts along the tool [m]
@@ -105,9 +103,6 @@ def _tool_scene(kind: type[_S], hand: Hand, scale: float, target: Float[np.ndarr
     return kind(
         mount=at,
         start=(np.array([0.0, 0.0, height]), np.array([right, 0.0, 0.0, not right], float)),
-        lower=np.array([-_REACH, -_REACH, 0.0]),
-        upper=np.array([_REACH, _REACH, 1.0]),
-        fixture=False,
         target=target * (scale, scale if right else -scale, scale) + (0.0, 0.0, TOP),
         scale=scale,
     )

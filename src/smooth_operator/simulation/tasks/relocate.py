@@ -15,14 +15,12 @@ import numpy as np
 from smooth_operator.simulation.scenes.relocate import RelocateScene
 from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.tasks.task import (
-    AFTER_RESET,
-    DROPPED,
-    GAVE_UP,
+    COMMON_ENDS,
     NOT_DONE,
-    PRESSES_N,
     Assessment,
     RubricLine,
     Task,
+    held_by_hand,
     held_since,
     lasted,
     outside,
@@ -43,17 +41,9 @@ RELOCATE: Final = Task(
     rubric=(
         RubricLine("done", 1.0, "held still within 3 cm of the mark for half a second"),
         RubricLine("near", 0.5, "carried to within 10 cm of the mark"),
-        AFTER_RESET,
-        DROPPED,
-        GAVE_UP,
+        *COMMON_ENDS,
     ),
 )
-
-
-def held_by_hand(state: SceneState) -> bool:
-    """True if the hand touches the object and nothing else supports it."""
-    touched = state.palm > PRESSES_N or bool(np.any(state.force > PRESSES_N))
-    return touched and not state.fixed and state.support == 0.0
 
 
 @dataclass(frozen=True, eq=False)

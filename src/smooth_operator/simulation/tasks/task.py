@@ -85,6 +85,12 @@ def outside(scene: Scene, state: SceneState) -> bool:
     return bool(np.any(state.position < scene.lower) or np.any(state.position > scene.upper))
 
 
+def held_by_hand(state: SceneState) -> bool:
+    """True if the hand touches the object and nothing else supports it."""
+    touched = state.palm > PRESSES_N or bool(np.any(state.force > PRESSES_N))
+    return touched and not state.fixed and state.support == 0.0
+
+
 def rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """(3, 3) rotation matrix of a unit quaternion w x y z."""
     w, x, y, z = quaternion
@@ -319,8 +325,7 @@ class ScrewdriverScorer:
         """See ``Scorer``."""
         blade = rotation(state.quaternion)[:, 2]
         angle = float(np.arctan2(np.hypot(blade[0], blade[1]), -blade[2]))
-        touched = bool(np.any(state.force > PRESSES_N))
-        held = touched and not state.fixed and state.support == 0.0
+        held = held_by_hand(state)
         still = float(np.linalg.norm(state.spin)) < SCREWDRIVER_STILL
         pointing = held_since(self.pointing, held and still and angle <= DOWN, state.time)
         return replace(
@@ -458,6 +463,9 @@ DROPPED: Final = RubricLine("dropped", 0.0, "the object left the hand's workspac
 GAVE_UP: Final = RubricLine("not-done", 0.0, "the operator gave up, or the time ran out")
 AFTER_RESET: Final = RubricLine("done-after-reset", 0.5, "done after the one allowed reset")
 
+COMMON_ENDS: Final = (AFTER_RESET, DROPPED, GAVE_UP)
+"""Last lines of the rubrics of most tasks."""
+
 CARD_PICKUP: Final = Task(
     "A",
     title="Card pickup",
@@ -504,9 +512,7 @@ SCREWDRIVER_PIVOT: Final = Task(
         RubricLine(
             "nearly", 0.5, "points nearly straight down, and the hand can't adjust it further"
         ),
-        AFTER_RESET,
-        DROPPED,
-        GAVE_UP,
+        *COMMON_ENDS,
     ),
 )
 

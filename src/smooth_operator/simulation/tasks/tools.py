@@ -7,15 +7,13 @@ from typing import Final, Self
 
 from smooth_operator.simulation.scenes.scene import SceneState
 from smooth_operator.simulation.scenes.tools import HammerScene, TongsScene
-from smooth_operator.simulation.tasks.relocate import held_by_hand
 from smooth_operator.simulation.tasks.task import (
-    AFTER_RESET,
-    DROPPED,
-    GAVE_UP,
+    COMMON_ENDS,
     NOT_DONE,
     Assessment,
     RubricLine,
     Task,
+    held_by_hand,
     held_since,
     lasted,
     outside,
@@ -37,9 +35,7 @@ HAMMER: Final = Task(
     rubric=(
         RubricLine("done", 1.0, "nail in by 40 mm, and the hammer held for half a second then"),
         RubricLine("partly", 0.5, "nail in by 15 mm, or in and the hammer lost"),
-        AFTER_RESET,
-        DROPPED,
-        GAVE_UP,
+        *COMMON_ENDS,
     ),
 )
 
@@ -50,9 +46,7 @@ TONGS: Final = Task(
     rubric=(
         RubricLine("done", 1.0, "10 cm up, shut and opened three times, and still held"),
         RubricLine("partly", 0.5, "10 cm up, and shut once"),
-        AFTER_RESET,
-        DROPPED,
-        GAVE_UP,
+        *COMMON_ENDS,
     ),
 )
 

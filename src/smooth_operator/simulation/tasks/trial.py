@@ -333,9 +333,6 @@ def _states(arrays: StoredArrays) -> Iterator[SceneState]:
     fingers = arrays["force"].shape[-1] if arrays["force"].shape else 0
     columns: list[Any] = []
     for name, (shape, kinds, _) in _STATE.items():
-        if name == "mechanism" and name not in arrays:  # older records
-            columns.append(np.zeros(count))
-            continue
         item = arrays[name]
         shape_expected = (count, *(fingers if axis is None else axis for axis in shape))
         # Of a trial that has no moment yet, the arrays have one axis, and numbers of any kind.
