@@ -12,12 +12,11 @@ import time
 from typing import Any
 
 import numpy as np
-from hand_servos import Faults
+from simulators.common import Faults
 
 LSB = {"v4": math.radians(333.3 / 65536), "v5": math.radians(0.088)}
 TORQUE = {"v4": 1 / 1200, "v5": 1 / 1430}
 """Newton metres per unit of the torque frame."""
-LIMIT = {"v4": 1200, "v5": 240}
 
 
 class AllegroHand:
@@ -44,7 +43,7 @@ class AllegroHand:
         self.servo_on = False
         self.switched: list[bool] = []
         self.period_s = 0.0
-        self.faults = Faults()
+        self.faults = Faults("short")
         self.stuck: set[int] = set()
         self.error: tuple[int, int] | None = None
         self.torque_frames = 0
@@ -82,7 +81,7 @@ class AllegroHand:
 
     def _take(self, message: Any) -> None:
         number = message.arbitration_id >> 2
-        if self.faults.mute:
+        if self.faults.silent:
             return
         if number == 0x40 or number == 0x41:
             self.servo_on = number == 0x40
@@ -123,14 +122,13 @@ class AllegroHand:
             self.velocity[out] = 0.0
 
     def _report(self) -> None:
-        if self.faults.mute:
+        if self.faults.silent:
             return
-        if self.faults.delay_s:
-            time.sleep(self.faults.delay_s)
+        short = self.faults.next_wrong() == "short"
         counts = np.rint(self.position / LSB[self.version]).astype(int)
         for finger in range(4):
             data = struct.pack("<4h", *counts[4 * finger : 4 * finger + 4])
-            self._send(0x20 + finger, data[:5] if self.faults.garble else data)
+            self._send(0x20 + finger, data[:5] if short else data)
         if self.error is not None and self.version == "v5":
             self._send(0xEE, bytes(self.error))
 

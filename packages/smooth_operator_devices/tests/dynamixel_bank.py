@@ -1,17 +1,14 @@
-"""A bank of Dynamixel X servos on a pseudo-terminal: protocol 2.0 on the wire.
+"""A bank of Dynamixel X servos on a serial line: protocol 2.0 on the wire.
 
 Written from the published protocol, apart from the driver and from ROBOTIS' SDK: packets, stuffing
 and checksum are computed here. The servos move with a limited speed and force.
 """
 
-import contextlib
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from hand_servos import Faults
-from serial_port import SerialPort
+from simulators.common import Faults, SerialLine
 
 MODEL = 1240  # XC330-M288
 
@@ -114,9 +111,10 @@ class Servo:
 
 
 class ServoBank:
-    """Servos on a pseudo-terminal; ``path`` is the port. Faults are switched on by attributes.
+    """Servos on a serial line; ``path`` is the port. Faults are switched on by attributes.
 
     Attributes:
+        line: the line, which can be unplugged.
         silent: ids that do not answer.
         faults: what goes wrong on the bus.
         fast: whether they know the fast sync read.
@@ -127,39 +125,32 @@ class ServoBank:
     def __init__(self, numbers: list[int]) -> None:
         self.servos = {number: Servo(number) for number in numbers}
         self.silent: set[int] = set()
-        self.faults, self.fast = Faults(), True
+        self.faults, self.fast = Faults("checksum"), True
         self.goals: list[dict[int, int]] = []
         self.aimed: Callable[[dict[int, int]], object] = bool
         self.bad = 0  # instructions with a wrong checksum
         self._buffer = b""
-        self.path = ""
-        self.plug()
-
-    def plug(self, path: str = "") -> None:
-        """Connect; with ``path``, a link there leads to the port, as a second plugging gives it."""
-        self._port = SerialPort(self._serve)
-        self.path = self._port.path
-        if path:
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(path)
-            os.symlink(self.path, path)
-            self.path = path
+        self.line = SerialLine(self)
+        self.path = self.line.port
 
     def unplug(self) -> None:
-        """Pull the cable."""
-        self._port.close()
+        """End the line."""
+        self.line.close()
 
-    def _serve(self, arrived: bytes) -> None:
-        self._buffer += arrived
-        self._take()
+    def poll(self) -> bytes:
+        """Move the servos; they send nothing by themselves."""
         for servo in self.servos.values():
             servo.move()
+        return b""
 
-    def _take(self) -> None:
+    def receive(self, data: bytes) -> bytes:
+        """Answer the packets in the bytes; an incomplete packet waits for its rest."""
+        self._buffer += data
+        answers = b""
         while (start := self._buffer.find(b"\xff\xff\xfd\x00")) >= 0:
             rest = self._buffer[start:]
             if len(rest) < 7 or len(rest) < 7 + int.from_bytes(rest[5:7], "little"):
-                return
+                break
             length = 7 + int.from_bytes(rest[5:7], "little")
             whole, self._buffer = rest[:length], rest[length:]
             if crc16(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
@@ -167,9 +158,9 @@ class ServoBank:
                 continue
             body = whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
             answer = self._answer(whole[4], body[0], body[1:])
-            if answer and not self.faults.mute:
-                time.sleep(self.faults.delay_s)
-                self._port.write(answer)
+            answers += b"" if self.faults.silent else answer
+        self.poll()
+        return answers
 
     def _answer(self, number: int, instruction: int, data: bytes) -> bytes:
         for servo in self.servos.values():
@@ -227,6 +218,6 @@ class ServoBank:
         return self._sent(head + body + crc16(head + body).to_bytes(2, "little"))
 
     def _sent(self, answer: bytes) -> bytes:
-        if self.faults.garble:
+        if self.faults.next_wrong():
             return answer[:-1] + bytes([answer[-1] ^ 0x5A])
         return answer

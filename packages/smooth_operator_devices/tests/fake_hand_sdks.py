@@ -1,58 +1,51 @@
 """Stand-ins for two makers' packages, ``wujihandpy`` and ``bc_stark_sdk``, with a simulated hand.
 
 They have the calls that our drivers use, with the names, parameters and results of the real ones;
-``test_hand_protocols.py`` compares them with the real packages where those are installed.
+``test_hand_packages.py`` compares them with the real packages where those are installed.
 """
 
 import asyncio
 import enum
-import time
 import types
 from typing import Any
 
 import numpy as np
-from hand_servos import Faults, Servos
-
-WUJI_LOWER, WUJI_UPPER = np.full(20, -0.5), np.full(20, 1.62)
+from simulators.common import Faults, Motors
+from simulators.sdk import module
 
 
 class WujiWorld:
     """A simulated hand on USB; ``module`` stands for ``wujihandpy``."""
 
     def __init__(self, handedness: int = 0) -> None:
-        self.servos = Servos([0.1] * 20, speed=20.0, lower=WUJI_LOWER, upper=WUJI_UPPER)
-        self.servos.powered = False
-        self.faults = Faults()
+        self.motors = Motors([0.1] * 20, 20.0)
+        self.motors.set_power(False)
+        self.faults = Faults("not finite")
         self.plugged_in = True
         self.handedness = handedness
         self.effort_limit = np.full((5, 4), 1.5)
         self.codes = np.zeros((5, 4), np.uint32)
         self.switched: list[bool] = []
-        self.module = types.ModuleType("wujihandpy")
-        self.module.logging = types.SimpleNamespace(set_log_to_console=lambda value: None)
-        self.module.filter = types.SimpleNamespace(LowPass=WujiLowPass)
         world = self
 
         class Hand(WujiHand):
-            def __init__(
-                self,
-                serial_number: str | None = None,
-                usb_pid: int = 8192,
-                usb_vid: int = 1155,
-                mask: Any = None,
-            ) -> None:
+            def __init__(self, serial_number: str | None = None) -> None:
                 super().__init__(world)
 
-        self.module.Hand = Hand
+        self.module = module(
+            "wujihandpy",
+            Hand=Hand,
+            logging=types.SimpleNamespace(set_log_to_console=lambda value: None),
+            filter=types.SimpleNamespace(LowPass=WujiLowPass),
+        )
 
-    def touch(self) -> None:
-        """Every call passes here."""
+    def touch(self) -> str:
+        """Every call passes here; the kind of wrong answer."""
         if not self.plugged_in:
             raise ConnectionError("device disconnected")
-        if self.faults.delay_s:
-            time.sleep(self.faults.delay_s)
-        if self.faults.mute or self.faults.refuse:
+        if self.faults.silent:
             raise TimeoutError("SDO operation timeout")
+        return self.faults.next_wrong()
 
 
 class WujiLowPass:
@@ -67,17 +60,15 @@ class WujiController:
     def set_joint_target_position(self, value_array: Any) -> None:
         self.world.touch()
         assert np.shape(value_array) == (5, 4)
-        self.world.servos.aim(np.asarray(value_array).ravel().tolist())
+        self.world.motors.move(np.ravel(value_array))
 
     def get_joint_actual_position(self) -> np.ndarray:
-        self.world.touch()
-        if self.world.faults.garble:
-            return np.full((5, 4), np.nan)
-        return self.world.servos.positions().reshape(5, 4)
+        wrong = self.world.touch()
+        return np.nan * np.ones((5, 4)) if wrong else self.world.motors.positions.reshape(5, 4)
 
     def get_joint_actual_effort(self) -> np.ndarray:
         self.world.touch()
-        return np.clip(self.world.servos.load(), -1.5, 1.5).reshape(5, 4)
+        return self.world.motors.currents.reshape(5, 4) / 1000.0
 
     def close(self) -> None:
         self.world.touch()
@@ -117,8 +108,7 @@ class WujiHand:
 
     def write_joint_enabled(self, value: bool, timeout: float = 0.5) -> None:
         self.world.touch()
-        self.world.servos.positions()
-        self.world.servos.powered = value
+        self.world.motors.set_power(value)
         self.world.switched.append(value)
 
     def realtime_controller(self, enable_upstream: bool, filter: Any) -> WujiController:
@@ -127,46 +117,22 @@ class WujiHand:
         return WujiController(self.world)
 
 
-class Baudrate(enum.Enum):
-    Baud115200 = 0
-    Baud460800 = 3
-    Baud1Mbps = 4
-
-
-class FingerUnitMode(enum.Enum):
-    Normalized = 0
-    Physical = 1
-
-
-class HandType(enum.Enum):
-    Left = 0
-    Right = 1
-
-
-class MotorState(enum.Enum):
-    Unknown = 0
-    Idle = 1
-    Running = 2
-    Stall = 3
-    Turbo = 4
+Baudrate = enum.Enum("Baudrate", ["Baud115200", "Baud460800", "Baud1Mbps"])
+FingerUnitMode = enum.Enum("FingerUnitMode", ["Normalized", "Physical"])
+HandType = enum.Enum("HandType", ["Left", "Right"])
+MotorState = enum.Enum("MotorState", ["Unknown", "Idle", "Running", "Stall", "Turbo"])
 
 
 class StarkWorld:
     """A simulated hand on a serial line; ``main_mod`` stands for the module of that name."""
 
     def __init__(self, left: bool = False) -> None:
-        self.servos = Servos([0.0] * 6, speed=8000.0, lower=0.0, upper=1000.0)
-        self.faults = Faults()
+        self.motors = Motors([0.0] * 6, 8000.0, stall_current=1000.0)
+        self.faults = Faults("not a position")
         self.plugged_in = True
         self.number = 0x7E if left else 0x7F
         self.type = HandType.Left if left else HandType.Right
         self.unit: FingerUnitMode | None = None
-        self.units: list[FingerUnitMode | None] = []  # in which positions came
-        self.package, self.main_mod = (types.ModuleType(n) for n in ("bc_stark_sdk", "main_mod"))
-        self.package.main_mod = self.main_mod
-        for kind in (Baudrate, FingerUnitMode, HandType, MotorState):
-            setattr(self.main_mod, kind.__name__, kind)
-        self.main_mod.DeviceContext = StarkContext
 
         def modbus_open(port_name: str, baudrate: Baudrate) -> Any:
             async def opened() -> StarkContext:
@@ -177,16 +143,19 @@ class StarkWorld:
             asyncio.get_running_loop()  # the real one needs a loop that runs, too
             return opened()
 
-        self.main_mod.modbus_open = modbus_open
+        kinds = {each.__name__: each for each in (Baudrate, FingerUnitMode, HandType, MotorState)}
+        self.main_mod = module(
+            "main_mod", modbus_open=modbus_open, DeviceContext=StarkContext, **kinds
+        )
+        self.package = module("bc_stark_sdk", main_mod=self.main_mod)
 
-    async def answer(self, slave_id: int) -> None:
-        """Every call passes here."""
-        if self.faults.delay_s:
-            await asyncio.sleep(self.faults.delay_s)
-        if self.faults.mute:
+    async def answer(self, slave_id: int) -> str:
+        """Every call passes here; the kind of wrong answer."""
+        if self.faults.silent:
             await asyncio.sleep(10.0)
-        if self.faults.refuse or not self.plugged_in or slave_id != self.number:
+        if not self.plugged_in or slave_id != self.number:
             raise RuntimeError(f"slave[{slave_id}] read_input_registers(address: 2000) failed\n0:")
+        return self.faults.next_wrong()
 
 
 class StarkContext:
@@ -210,17 +179,15 @@ class StarkContext:
         return self.world.unit
 
     async def get_motor_status(self, slave_id: int) -> Any:
-        await self.world.answer(slave_id)
-        servos = self.world.servos
-        positions = np.rint(servos.positions()).astype(int).tolist()
-        load = servos.load()
+        wrong, motors = await self.world.answer(slave_id), self.world.motors
+        currents = np.rint(motors.currents).astype(int).tolist()
         return types.SimpleNamespace(
-            positions=[30000] * 6 if self.world.faults.garble else positions,
+            positions=[30000] * 6 if wrong else np.rint(motors.positions).astype(int).tolist(),
             speeds=[0] * 6,
-            currents=np.rint(np.clip(load * 2, -1000, 1000)).astype(int).tolist(),
+            currents=currents,
             states=[
-                MotorState.Stall if k in servos.stuck and abs(x) > 5 else MotorState.Idle
-                for k, x in enumerate(load)
+                MotorState.Stall if k in motors.stuck and current else MotorState.Idle
+                for k, current in enumerate(currents)
             ],
         )
 
@@ -229,8 +196,7 @@ class StarkContext:
     ) -> None:
         await self.world.answer(slave_id)
         assert len(speeds) == 6
-        self.world.units.append(self.world.unit)
-        self.world.servos.aim(positions)
+        self.world.motors.move(positions)
 
     async def close(self) -> None:
         return None

@@ -1,4 +1,4 @@
-"""A simulated BrainCo Revo2 that speaks Modbus RTU, for the maker's own package on a pty.
+"""A simulated BrainCo Revo2 that speaks Modbus RTU, for the maker's own package on a serial line.
 
 Registers as the package 2.0.8 uses them on the line: holding 901 (which hand), 937 (unit of
 positions), 1022 to 1033 (position and speed of each finger in turns); input 2000 to 2023
@@ -6,67 +6,49 @@ positions), 1022 to 1033 (position and speed of each finger in turns); input 200
 """
 
 import struct
-import time
 
 import numpy as np
-from hand_servos import Faults, Servos
+from simulators.common import Faults, Motors
+from simulators.modbus_rtu import RtuDevice
 
 
-class Revo2Hand:
+class Revo2Hand(RtuDevice):
     """The hand behind the bus: six motors, 0 open to 1000 closed."""
 
     def __init__(self, left: bool = False) -> None:
-        self.servos = Servos([0.0] * 6, speed=8000.0, lower=0.0, upper=1000.0)
-        self.left, self.unit = left, 0x7E if left else 0x7F
+        self.motors = Motors([0.0] * 6, 8000.0)
+        self.left, self.node = left, 0x7E if left else 0x7F
         self.serial_number = f"BCXT{'L' if left else 'R'}0000000042"
         self.unit_mode: int | None = None
-        self.faults = Faults()
-        self.unknown: set[tuple[int, int]] = set()
-        """Function and address of requests that the simulator knows nothing of."""
+        self.faults = Faults(*self.WRONG)
 
-    def answer(self, pdu: bytes) -> bytes | None:
-        """The answer to a request, both without frame; None for no answer."""
-        if self.faults.delay_s:
-            time.sleep(self.faults.delay_s)
-        if self.faults.mute:
-            return None
-        code, address, count = struct.unpack(">BHH", pdu[:5])
-        if self.faults.refuse:
-            return bytes([code | 0x80, 4])
-        if code == 6:
-            if address == 937:
-                self.unit_mode = count
-            else:
-                self.unknown.add((code, address))
-            return pdu
-        if code == 16:
-            words = struct.unpack(f">{count}h", pdu[6 : 6 + 2 * count])
-            if address == 1022 and count == 12:
-                self.servos.aim(words[::2])
-            else:
-                self.unknown.add((code, address))
-            return pdu[:5]
-        words = self.registers(code, address, count)
-        return bytes([code, 2 * count]) + struct.pack(f">{count}H", *(w & 0xFFFF for w in words))
+    def answer(self, function: int, body: bytes) -> bytes:
+        """Function code and data that answer a request."""
+        address, count = struct.unpack(">HH", body[:4])
+        if function == 6:
+            self.unit_mode = count if address == 937 else self.unit_mode
+            return bytes([function]) + body[:4]
+        if function == 16:
+            if (address, count) == (1022, 12):
+                self.motors.move(struct.unpack(">12h", body[5:])[::2])
+            return bytes([function]) + body[:4]
+        words = [*self._registers(function, address, count), *[0] * count][:count]
+        return bytes([function, 2 * count]) + struct.pack(f">{count}H", *words)
 
-    def registers(self, code: int, address: int, count: int) -> list[int]:
-        """Words from an address; zeros where nothing is known."""
-        if code == 3 and address == 901:
-            return [2 if self.left else 1][:count]
-        if code == 3 and address == 937:
-            return [self.unit_mode or 0][:count]
-        if code == 4 and address == 2000:
-            load = self.servos.load()
-            stall = [
-                2 if k in self.servos.stuck and abs(x) > 5 else int(abs(x) > 5)
-                for k, x in enumerate(load)
+    def _registers(self, function: int, address: int, count: int) -> list[int]:
+        """Words from an address; none where nothing is known."""
+        if function == 3:
+            return {901: [2 if self.left else 1], 937: [self.unit_mode or 0]}.get(address, [])
+        if address == 2000:
+            away = self.motors.targets - self.motors.positions
+            states = [
+                (2 if k in self.motors.stuck else 1) * (abs(x) > 5) for k, x in enumerate(away)
             ]
-            where = np.rint(self.servos.positions()).astype(int).tolist()
-            amperes = np.rint(np.clip(2 * load, -1000, 1000)).astype(int).tolist()
-            return [*where, *[0] * 6, *amperes, *stall][:count]
-        if code == 4 and 3000 <= address < 3030:
+            positions, currents = self.motors.positions, self.motors.currents
+            rows = (positions, np.zeros(6), currents, states)
+            return [int(value) for row in rows for value in np.rint(row)]
+        if 3000 <= address < 3030:
             text = self.serial_number if address == 3010 else "1.0.20.U"
             data = text.encode().ljust(2 * count, b"\0")[: 2 * count]
             return list(struct.unpack(f">{count}H", data))
-        self.unknown.add((code, address))
-        return [0] * count
+        return []

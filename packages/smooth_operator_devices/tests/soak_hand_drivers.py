@@ -2,9 +2,9 @@
 
 In this folder, ``python soak_hand_drivers.py SECONDS RIG [RIG ...]`` prints a line of JSON for each
 rig; the exit status is 1 if a limit was passed. Commands come at 100 Hz. Every ten seconds a fault
-lasts half a second: no answers, late answers, damaged answers, refused requests, or the device is
-gone. ``machine_ms`` are times of a notification that nobody waits for, just before each command:
-what the machine and Python's lock cost without a hand.
+lasts half a second: no answers, late answers, wrong answers, or the device is gone. ``machine_ms``
+are times of a notification that nobody waits for, just before each command: what the machine and
+Python's lock cost without a hand.
 """
 
 import itertools
@@ -35,10 +35,12 @@ def inject(rig: Rig, fault: str, on: bool) -> None:
     """Begin or end a fault."""
     if fault == "gone":
         (rig.lose if on else rig.back)()
+    elif fault == "silent":
+        rig.faults.silent = on
     elif fault == "late":
         rig.faults.delay_s = 0.05 if on else 0.0
     else:
-        setattr(rig.faults, fault, on)
+        rig.faults.garbled = rig.wrong[0] if on else ""
 
 
 def soak(name: str, seconds: float) -> dict[str, object]:
@@ -54,11 +56,7 @@ def soak(name: str, seconds: float) -> dict[str, object]:
         tick = make_tick(hand)
         times, machine, errors, late, refused = [], [], [], 0, 0
         idle = threading.Condition()
-        faults, fault, until = (
-            itertools.cycle(["mute", "late", "garble", "refuse", "gone"]),
-            "",
-            0.0,
-        )
+        faults, fault, until = itertools.cycle(["silent", "late", "wrong", "gone"]), "", 0.0
         begin = due = time.perf_counter()
         next_fault, count = begin + FAULT_EVERY_S, 0
         try:

@@ -1,14 +1,13 @@
 """All drivers of real hands on simulators of their wire protocols: one set of tests for each."""
 
+import struct
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_rigs import RIGS, Rig, missing
-from inspire_simulator import ANGLE_ACT
+from hand_rigs import RIGS, Rig, quiet
 from live_time import until
 from ticks import make_tick
 
@@ -19,7 +18,6 @@ from smooth_operator.hands.registry import hand_names
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
-from smooth_operator_devices.hands import bus_lock
 from smooth_operator_devices.hands.actuator_map import (
     ActuatorMap,
     BoundMap,
@@ -30,26 +28,15 @@ from smooth_operator_devices.hands.device import HandDevice, SettingsWatch, Wron
 from smooth_operator_devices.hands.drivers.linker import LinkerSink
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
+pytest_plugins = ["hand_rig_fixtures"]
+
 BUSES = [
     name for name in RIGS if name not in ("inspire-touch", "linker-l10", "linker-o6", "rohand-gen1")
 ]
 """Rigs without further models of a hand that speak on the bus as another one does."""
 ON_EACH_BUS = pytest.mark.parametrize("rig", BUSES, indirect=True)
+WITH_EACH = pytest.mark.parametrize("rig", list(RIGS), indirect=True)
 TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
-
-
-@pytest.fixture(params=list(RIGS))
-def rig(request, tmp_path, monkeypatch) -> Iterator[Rig]:
-    if why := missing(request.param):
-        pytest.skip(why)
-    monkeypatch.setattr("smooth_operator_devices.hands.hardware_sink._RETRY_S", 0.02)
-    # Locks of buses are files there. A pty that another run of the tests has lost, and still has
-    # locked, gives its name to the next one.
-    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
-    made = RIGS[request.param](tmp_path, monkeypatch)
-    made.patience(3.0)  # the machine may be busy
-    yield made
-    made.close()
 
 
 _hands: dict[str, Hand] = {}
@@ -191,17 +178,19 @@ def fits(table: ActuatorMap, hand: Hand) -> None:
         assert back == pytest.approx(commands, abs=1e-4)
 
 
+@WITH_EACH
 def test_opening_moves_nothing_and_reads_where_the_hand_is(rig):
     before = rig.positions()
     with Opened(rig) as opened:
         reading = opened.device.read()
         assert reading.positions == pytest.approx(before, abs=rig.unit)
         assert reading.errors == ()
-        assert rig.targets() == 0
+        assert not rig.sent
         assert opened.device.read().positions.shape == (len(opened.table.actuators),)
     assert rig.positions() == pytest.approx(before, abs=rig.unit)
 
 
+@WITH_EACH
 def test_it_goes_where_it_is_told_and_reads_it_back(rig):
     with Driven(rig) as driven:
         wanted = driven.ask(0.4)
@@ -228,6 +217,7 @@ def test_it_goes_where_it_is_told_and_reads_it_back(rig):
     assert rig.outside() == 0
 
 
+@WITH_EACH
 def test_a_stop_holds_the_hand_on_its_way(rig):
     with Driven(rig) as driven:
         start = rig.positions()
@@ -250,15 +240,16 @@ def test_a_stop_holds_the_hand_on_its_way(rig):
     assert rig.outside() == 0
 
 
+@WITH_EACH
 def test_relaxing_is_taken_by_every_hand(rig):
     with Opened(rig) as opened:
         opened.device.write(opened.device.read().positions)
         if rig.powered() is None:  # it can't: then nothing is sent
             opened.device.read()  # the hand answers when it has its command
-            sent = rig.targets()
+            sent = len(rig.sent)
             opened.device.relax()
             opened.device.read()
-            assert rig.targets() == sent
+            assert len(rig.sent) == sent
         else:
             until(rig.powered)
             opened.device.relax()
@@ -297,12 +288,12 @@ def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, seconds):
         wanted = driven.ask(0.2)
         until(lambda: rig.near(wanted))
         wrong = driven.statistics()["wrong_answers"]
-        rig.faults.mute = True
+        rig.faults.silent = True
         until(lambda: driven.statistics()["wrong_answers"] > wrong)
         wanted = driven.ask(0.7)
         time.sleep(seconds)
         before = len(sent)
-        rig.faults.mute = False
+        rig.faults.silent = False
         until(lambda: len(sent) > before)
         angles = [driven.bound.drive_angles(row) for row in sent[before]]
     assert np.nanmax(np.abs(angles[0] - angles[1])) < 0.05  # a frame of a LinkerHand has not all
@@ -315,15 +306,21 @@ def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
     with Driven(rig, lost_s=60.0) as driven:
         wanted = driven.ask(0.8)
         until(lambda: rig.near(wanted))
-        registers = rig.hand.registers
-        monkeypatch.setattr(
-            rig.hand, "registers", lambda a, n: words if a == ANGLE_ACT else registers(a, n)
-        )
-        wrong = driven.statistics()["wrong_answers"]
-        driven.tick = replace(driven.tick, mode=Mode.STOPPED)
-        until(lambda: driven.statistics()["wrong_answers"] > wrong + 3)
-        assert rig.near(wanted)
-        monkeypatch.setattr(rig.hand, "registers", registers)
+        with monkeypatch.context() as patch:
+            answer, angles = rig.hand.answer, (1546).to_bytes(2)
+            patch.setattr(
+                rig.hand,
+                "answer",
+                lambda function, body: (
+                    struct.pack(">BB6H", 3, 12, *words)
+                    if (function, body[:2]) == (3, angles)
+                    else answer(function, body)
+                ),
+            )
+            wrong = driven.statistics()["wrong_answers"]
+            driven.tick = replace(driven.tick, mode=Mode.STOPPED)
+            until(lambda: driven.statistics()["wrong_answers"] > wrong + 3)
+            assert rig.near(wanted)
         cycles = driven.statistics()["cycles"]
         until(lambda: driven.statistics()["cycles"] > cycles + 5)
     assert rig.near(wanted)
@@ -400,40 +397,70 @@ def test_limits_are_back_before_a_hand_moves_again(rig):
         assert all(there == limits for there in at_targets[count:])
 
 
+@WITH_EACH
 def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig):
     with Opened(rig) as opened:
         names = [setting.name for setting in opened.device.settings()]
     assert bool(names) == bool(rig.limits())
 
 
-@ON_EACH_BUS
-def test_wrong_answers_move_nothing_and_pass(rig):
+def right(rig: Rig, device: HandDevice) -> bool:
+    """True for an answer with the positions of the hand, False for a wrong answer."""
+    reading = quiet(device)
+    assert reading is None or np.abs(reading.positions - rig.positions()).max() <= rig.unit
+    return reading is not None
+
+
+@pytest.mark.parametrize(
+    ("rig", "kind"),
+    [(name, kind) for name in BUSES for kind in RIGS[name].wrong],
+    indirect=["rig"],
+)
+def test_wrong_answers_move_nothing_and_pass(rig, kind):
     rig.patience(0.2)
     with Opened(rig) as opened:
-        rig.faults.garble = True
+        rig.faults.garbled = kind
         if rig.reports:  # what it reports by itself is dropped where it is damaged
             opened.device.read()
         else:
             with pytest.raises(WrongAnswerError, match=f"^{rig.driver}" if rig.prefix else None):
                 opened.device.read()
-        rig.faults.garble = False
+        rig.faults.garbled = ""
+        until(lambda: right(rig, opened.device))
+    assert not rig.sent
 
-        def right() -> bool:
-            try:
-                return bool(
-                    np.abs(opened.device.read().positions - rig.positions()).max() <= rig.unit
-                )
-            except WrongAnswerError:
-                return False
 
-        until(right)
-    assert rig.targets() == 0
+@pytest.mark.parametrize("rig", ["rohand", "aero", "feetech-scs", "feetech-sts"], indirect=True)
+def test_another_program_on_the_line_changes_no_position(rig):
+    with Opened(rig) as opened:
+        for _ in range(5):
+            rig.line.second_program(rig.question)
+            until(lambda: right(rig, opened.device))
+
+
+@ON_EACH_BUS
+def test_a_table_with_another_number_of_actuators_is_refused(rig):
+    sink = rig.build()
+    table = sink.actuators("right")
+    if sink.driver in ("leap", "feetech"):
+        pytest.skip("a bank has as many servos as its table")
+    with pytest.raises(ConfigError, match="actuators, not 1"):
+        sink.device(replace(table, actuators=table.actuators[:1]))
+
+
+@pytest.mark.parametrize("rig", [name for name in RIGS if RIGS[name].other], indirect=True)
+def test_a_hand_of_the_other_side_is_refused(rig, rigs, request):
+    rig.close()
+    name = request.node.callspec.params["rig"]
+    left = rigs(name, "left", patience=0.3)
+    with pytest.raises(SinkError, match=rig.other):
+        left.open(side="right")
 
 
 @ON_EACH_BUS
 def test_a_slow_bus_costs_the_loop_nothing(rig):
     with Driven(rig, lost_s=2.0) as driven:
-        rig.faults.delay_s = rig.delay_s
+        rig.faults.delay_s = 0.01
         driven.ask(0.3)
         cycles = driven.statistics()["cycles"]
         until(lambda: driven.statistics()["cycles"] > cycles + 2)

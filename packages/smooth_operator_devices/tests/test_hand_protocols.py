@@ -1,371 +1,28 @@
-"""Drivers of real hands on the wire, byte by byte: their commands, and how they read answers."""
+"""Drivers of hands on serial lines, Modbus and DDS: their frames, and how they read answers."""
 
-import contextlib
 import importlib.util
-import inspect
-import itertools
+import json
 import os
+import socket
 import struct
-import sys
 import time
-import types
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from ability_simulator import AbilityHand
-from allegro_simulator import AllegroHand
-from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand, WujiWorld
-from hand_rigs import missing
-from inspire_simulator import InspireHand, TcpServer
-from live_time import PATIENCE_S, until
-from ticks import make_tick
+from hand_rigs import quiet, read
+from live_time import until
+from simulators.rohand_modbus import STUCK
 
-from smooth_operator import Hand, load_hand
-from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
-from smooth_operator.hands.wrist_joints import with_wrist_joints
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.types import JointCommand
-from smooth_operator_devices.hands.actuator_map import (
-    ActuatorMap,
-    BoundMap,
-    built_in_tables,
-    read_table,
-)
-from smooth_operator_devices.hands.device import Reading, WrongAnswerError
-from smooth_operator_devices.hands.drivers.ability import AbilityDevice, framed, unstuffed
-from smooth_operator_devices.hands.drivers.allegro import AllegroDevice, AllegroSink
-from smooth_operator_devices.hands.drivers.inspire import InspireDevice
-from smooth_operator_devices.hands.drivers.linker import LinkerDevice
-from smooth_operator_devices.hands.drivers.linker_models import MODELS
-from smooth_operator_devices.hands.drivers.orca import OrcaSink
-from smooth_operator_devices.hands.drivers.revo2 import Revo2Device
-from smooth_operator_devices.hands.drivers.wuji import WujiDevice
+from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table
+from smooth_operator_devices.hands.device import DeviceLostError, WrongAnswerError
+from smooth_operator_devices.hands.drivers import aero
+from smooth_operator_devices.hands.drivers.ability import framed, unstuffed
+from smooth_operator_devices.hands.drivers.inspire_touch import BLOCKS
 
-_channels = itertools.count()
-
-
-@pytest.fixture(autouse=True)
-def patience(monkeypatch) -> None:
-    """The machine may be busy."""
-    drivers = "smooth_operator_devices.hands.drivers"
-    for name in ("ability._TIMEOUT", "linker._TIMEOUT", "modbus_line.TIMEOUT", "allegro._STALE_S"):
-        monkeypatch.setattr(f"{drivers}.{name}", 3.0)
-    monkeypatch.setattr(f"{drivers}.allegro._ASK_S", 0.05)
-
-
-@pytest.fixture
-def closing() -> Iterator[Callable[..., None]]:
-    """Takes devices, hands and buses, which are closed in this order at the end."""
-    things: list[Any] = []
-    yield lambda *more: things.extend(more)
-    for thing in things:
-        (getattr(thing, "shutdown", None) or thing.close)()
-
-
-def table(name: str, **settings: object) -> ActuatorMap:
-    found = read_table(built_in_tables() / f"{name}.toml")
-    return replace(found, settings={**found.settings, **settings})
-
-
-def needs(rig: str) -> None:
-    if why := missing(rig):
-        pytest.skip(why)
-
-
-def linker(
-    closing: Callable[..., None], model: str, side: str = "right", **settings: Any
-) -> tuple[LinkerDevice, Any, Any]:
-    """An open device, its simulated hand on a virtual bus, and another program on that bus.
-
-    Args:
-        model: of the simulator, such as ``L20 lite``.
-    """
-    needs("linker-l20")
-    import can
-    from simulators.common import serve_can
-    from simulators.linkerhand_can import LinkerHand
-
-    wire = f"protocol-{next(_channels)}-{os.getpid()}"
-    hand = LinkerHand(model, side)
-    served, spy = contextlib.ExitStack(), can.Bus(wire, interface="virtual")
-    served.enter_context(serve_can(hand, can.Bus(wire, interface="virtual")))
-    limit = settings.pop("limit", None)
-    name = model.lower().replace(" ", "")
-    actuators = replace(table(f"linker_{name}_{side}", **settings), limit=limit)
-    device = LinkerDevice(actuators, f"virtual:{wire}", name)
-    closing(device, spy, served)
-    device.open()
-    return device, hand, spy
-
-
-def allegro(
-    closing: Callable[..., None], version: str, *, left: bool = False
-) -> tuple[AllegroDevice, AllegroHand]:
-    """A device that is not open yet, and its hand on a virtual bus."""
-    needs("allegro-v5")
-    wire = f"protocol-{next(_channels)}-{os.getpid()}"
-    hand = AllegroHand(wire, version, left=left)
-    name = "allegro_right" if version == "v4" else "allegro_v5_right"
-    device = AllegroDevice(table(name), f"virtual:{wire}")
-    closing(device, hand)
-    return device, hand
-
-
-def test_inspire_sets_its_limits_and_says_what_the_motors_report(closing):
-    needs("inspire")
-    hand = InspireHand()
-    hand.errors = [0, 4, 0, 0, 0, 0]
-    server = TcpServer(hand)
-    device = InspireDevice(table("inspire_right", force=300, speed=700), f"127.0.0.1:{server.port}")
-    closing(device, server)
-    device.open()
-    assert (hand.force_limit, hand.speed, hand.cleared) == ([300] * 6, [700] * 6, 1)
-    hand.errors = [1, 0, 2 | 4, 0, 0, 16]
-    hand.servos.stuck.add(3)
-    device.write(np.array([1000, 1000, 1000, 400, 1000, 1000.0]))
-    for _ in range(8):
-        reading = device.read()
-    assert reading.errors == (
-        "little: rotor locked",
-        "middle: too hot",
-        "middle: too much current",
-        "thumb_rotation: motor does not answer",
-    )
-    assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
-    assert reading.currents.tolist() == [0, 0, 0, 1500, 0, 0]
-    assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]
-
-
-def test_linker_frames(monkeypatch, closing):
-    device, hand, _ = linker(closing, "L20", "left", speed=120)
-    device.write(np.arange(16) * 10.0)
-    device.read()
-    seen = [frame.hex() for frame in hand.received]
-    assert {"01000a141e28", "02323c46505a", "036400000000", "046e78828c96"} <= set(seen)
-    assert seen.index("07" + "01" * 5) > seen.index("046e78828c96")  # clears when it is commanded
-    assert hand.speeds[:5].tolist() == [120] * 5
-    hand.raise_fault("index_root", 3)
-    device.read()
-    time.sleep(0.02)
-    assert device.read().errors == ("index: fault 0x03",)
-    monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
-    right = LinkerDevice(table("linker_l20_right"), device._port, "l20")
-    with pytest.raises(SinkError, match="not a left hand, which has the identifier 0x28"):
-        right.open()
-
-
-@pytest.mark.parametrize("model", ["O6", "L10"])
-def test_linker_touch_matrices(model, closing):
-    device, hand, _ = linker(closing, model, touch=1)
-    for k, matrix in enumerate(hand.touch.values()):
-        matrix[:] = np.arange(matrix.size).reshape(matrix.shape) + k
-    assert device.read().pads == {}
-    reading = until(lambda: (r := device.read()).pads and r)
-    assert list(reading.pads) == ["thumb", "index", "middle", "ring", "little"]
-    for found, matrix in zip(reading.pads.values(), hand.touch.values(), strict=True):
-        np.testing.assert_array_equal(found, matrix)
-    assert reading.touch.tolist() == [matrix.sum() for matrix in hand.touch.values()]
-    plain, _, spy = linker(closing, model)
-    assert plain.read().touch is None
-    while (frame := spy.recv(timeout=0.05)) is not None:
-        assert frame.data[0] < 0xB1  # it is not asked
-
-
-@pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
-@pytest.mark.parametrize("model", ["O6", "L10", "L20", "L21"])
-def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier, closing):
-    """The maker's enumeration of sides: LEFT = 0x28, RIGHT = 0x27."""
-    _, _, spy = linker(closing, model, side)
-    frame = spy.recv(timeout=PATIENCE_S)
-    assert frame is not None
-    assert frame.arbitration_id == identifier
-
-
-def test_linker_answers_from_before_a_command_are_not_taken_for_answers_to_it(monkeypatch, closing):
-    import can
-
-    device, hand, spy = linker(closing, "L20")
-    device.read()
-    hand.faults.silent = True
-    time.sleep(0.05)  # until it has answered what was asked
-    monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
-    for kind in (1, 2, 3, 4):
-        data = [kind, *[7] * 5]
-        spy.send(can.Message(arbitration_id=0x27, data=data, is_extended_id=False))
-    device.write(np.full(16, 200.0))
-    with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
-        device.read()
-
-
-def test_linker_questions_of_another_program_are_not_taken_for_answers(closing):
-    """A question has the same identifier as the answer, and no values."""
-    import can
-
-    device, hand, spy = linker(closing, "L21")
-    hand.motors.place(np.arange(17) * 10.0)
-    for kind in (0x41, 0x45, 0x61) * 20:
-        spy.send(can.Message(arbitration_id=0x27, data=[kind], is_extended_id=False))
-        if kind == 0x45:
-            assert device.read().positions.tolist() == (np.arange(17) * 10.0).tolist()
-
-
-def test_linker_answers_with_the_identifier_of_the_other_side_are_none(monkeypatch, closing):
-    device, hand, _ = linker(closing, "O6")
-    monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
-    hand.faults.answer_wrongly("identifier", 6)  # also to requests that are still on their way
-    with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
-        device.read()
-
-    def positions():
-        with contextlib.suppress(WrongAnswerError):
-            return device.read().positions.tolist()
-
-    assert until(positions) == [255.0] * 6
-
-
-@pytest.mark.parametrize(
-    ("model", "kinds", "joint", "bits", "said"),
-    [
-        ("O6", [2], "middle", 0b101000, "middle_base: overcurrent, overload"),
-        ("L6", [2], "pinky", 0b1100000, "little_base: motor too hot, controller too hot"),
-        ("L7", [2], "thumb_roll", 8, "thumb_turn: fault 0x08"),
-        ("L10", [2, 3], "thumb_yaw", 4, "thumb_turn: fault 0x04"),
-        ("L20 lite", [2, 3], "index_abd", 4, "index_side: too hot"),
-        (
-            "L21",
-            [*range(0x51, 0x56)],
-            "ring_tip",
-            0b10000010,
-            "ring_tip: overcurrent, motor does not answer",
-        ),
-        ("L25", [*range(0x51, 0x56)], "pinky_middle", 1, "little_middle: rotor locked"),
-    ],
-)
-def test_linker_models_report_heat_and_faults_and_take_limits(
-    model, kinds, joint, bits, said, closing
-):
-    device, hand, _ = linker(closing, model, limit=150.0)
-    motors = len(hand.motors)
-    hand.motors.temperatures[:] = 30 + np.arange(motors)
-    hand.raise_fault(joint, bits)
-    goals = 255.0 - 10.0 * np.arange(motors)
-    device.write(np.full(motors, 255.0))
-    found = {setting.name: setting for setting in device.settings()}
-    assert {f"frame 0x{kind:02X}" for kind in kinds} <= found.keys()
-    assert all((setting.measured == setting.expected).all() for setting in found.values())
-    assert hand.torques.tolist() == [150] * motors
-    assert hand.speeds.tolist() == [250] * motors
-    hand.raise_fault(joint, bits)
-
-    def whole() -> Reading | None:
-        device.write(goals)
-        reading = device.read()
-        heat = reading.temperatures
-        warm = heat is not None and heat.tolist() == hand.motors.temperatures.tolist()
-        return reading if reading.errors and warm else None
-
-    assert until(whole).errors == (said,)
-    device.relax()  # the next command clears the fault
-    if device._model.clear:
-        until(lambda: not whole())
-        until(lambda: np.abs(device.read().positions - goals).max() < 1)
-
-
-def test_linker_o6_reports_currents(closing):
-    device, hand, _ = linker(closing, "O6")
-    hand.motors.stuck.add(2)
-    hand.motors.stall_current = 700.0
-
-    def pressing() -> bool:
-        device.write(np.zeros(6))
-        currents = device.read().currents
-        return currents is not None and currents[2] == 127  # of 255 for 1400 mA
-
-    until(pressing)
-
-
-@pytest.mark.parametrize("model", [*MODELS])
-def test_linker_models_are_those_of_the_simulator(model):
-    """Motors and frames, as another author read them from the maker's texts."""
-    simulated = pytest.importorskip("simulators.linkerhand_can").MODELS
-    other = {"l20lite": "L20 lite", "l25_16": "L25 linkerbot"}.get(model, model.upper())
-    theirs, mine = simulated[other], MODELS[model]
-    assert mine.motors == len(theirs.joints)
-    for name, frames in (
-        ("positions", mine.positions),
-        ("speeds", mine.speeds),
-        ("temperatures", mine.temperatures),
-        ("faults", mine.faults),
-        ("currents" if model == "l20" else "torques", mine.limits),
-    ):
-        layout = getattr(theirs, name)
-        assert {kind: len(row) for kind, row in frames.items()} == {
-            kind: len(layout[kind]) for kind in frames
-        }
-        for kind, row in frames.items():
-            assert [m is None for m in row] == [m is None for m in layout[kind]]
-
-
-def answer(device: AllegroDevice) -> Reading:
-    """A reading, repeated while a loaded machine makes the newest angles old."""
-
-    def read() -> Reading | None:
-        with contextlib.suppress(WrongAnswerError):
-            return device.read()
-        return None
-
-    return until(read)
-
-
-@pytest.mark.parametrize("version", ["v4", "v5"])
-def test_allegro_torques_have_the_sign_and_the_limit(version, closing):
-    device, hand = allegro(closing, version)
-    device.open()
-    assert hand.switched == [False]
-    start = answer(device).positions
-    device.write(start)
-    hand.stuck.update(range(16))
-    goal = start + np.where(np.arange(16) % 2, 0.5, -0.5)
-    device.write(goal)
-    until(lambda: hand.torque.all())
-    assert hand.servo_on
-    assert (np.sign(hand.torque) == np.sign(goal - start)).all()
-    assert hand.largest_torque <= np.nanmax(device._table.limits)
-    assert (np.abs(answer(device).currents) > 0).all()
-    device.relax()
-    until(lambda: not hand.servo_on)
-    assert hand.switched == [False, True, False]
-    hand.error = (5, 0b100101)
-    until(lambda: answer(device).errors)
-    said = {"v4": "hand: too hot", "v5": "middle_1: input voltage, too hot, overload"}
-    assert answer(device).errors == (said[version],)
-
-
-def test_allegro_angles_that_are_old_are_no_answer(monkeypatch, closing):
-    monkeypatch.setattr("smooth_operator_devices.hands.drivers.allegro._STALE_S", 60.0)
-    device, hand = allegro(closing, "v5")
-    device.open()
-    hand.faults.mute = True
-    time.sleep(0.04)  # over the 30 ms, well under three times as long
-    with pytest.raises(WrongAnswerError, match=r"the newest angles are \d+ ms old"):
-        device.read()
-
-
-def test_a_runs_limit_lowers_every_actuators_own():
-    own = AllegroSink().actuators("right").limits
-    assert own.min() < 280.0 < own.max()
-    weaker = AllegroSink(limit=280.0).actuators("right").limits
-    np.testing.assert_array_equal(weaker, np.minimum(own, 280.0))
-
-
-@pytest.mark.parametrize("version", ["v4", "v5"])
-def test_allegro_of_the_other_side_is_refused(version, closing):
-    device, _ = allegro(closing, version, left=True)
-    with pytest.raises(SinkError, match="is a left hand"):
-        device.open()
+pytest_plugins = ["hand_rig_fixtures"]
 
 
 def test_ability_frames():
@@ -376,28 +33,22 @@ def test_ability_frames():
         assert unstuffed(framed(body)[1:-1]) == body
 
 
-def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake(closing):
-    needs("ability")
-    hand = AbilityHand()
-    device = AbilityDevice(table("ability_right"), hand.port, 115200, 0x50)
-    closing(device, hand)
-    device.open()
+def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake(rigs):
+    rig = rigs("ability")
+    hand, device = rig.hand, rig.open()
     hand.hot = 0b100010
-    hand.servos.stuck.add(2)
+    hand.motors.stuck.add(2)
     device.write(np.array([15, 15, 60, 15, 15, -15.0]))
     reading = device.read()
     assert reading.touch.tolist() == hand.touch
-    assert reading.currents[2] == pytest.approx(1125.0, abs=2.0)
+    assert reading.currents[2] == pytest.approx(1100.0, abs=2.0)
     assert reading.errors == ("middle: too hot", "thumb_rotator: too hot")
-    device.relax()
-    device.read()
-    assert not hand.servos.powered
     assert not hand.gaps
     assert not hand.bad_frames
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("ah_wrapper"), reason="needs ability-hand")
-def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch, closing):
+def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch, rigs):
     monkeypatch.chdir(tmp_path)  # the package writes files into the current folder
     from ah_wrapper.ah_api import create_misc_msg, create_pos_msg
     from ah_wrapper.ah_parser import parse_packet
@@ -408,233 +59,319 @@ def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch, closing):
     assert mine == bytes(create_pos_msg(reply_mode=0, positions=degrees))
     asked = bytes([0x50, 0xA0])
     assert framed(asked + bytes([-sum(asked) & 0xFF])) == bytes(create_misc_msg(0xA0))
-    hand = AbilityHand()
-    closing(hand)
     # and the simulator answers what the package understands
-    descriptor = os.open(hand.port, os.O_RDWR | os.O_NOCTTY)
-    os.write(descriptor, mine)
-    answer = b""
-    while answer.count(b"~") < 2:
-        answer += os.read(descriptor, 256)
+    answer = rigs("ability").hand.receive(mine)
     packet = parse_packet(bytearray(unstuffed(answer.strip(b"~"))))
     assert packet.valid
     assert packet.pos == pytest.approx([15] * 5 + [-15], abs=2.0)
 
 
-def test_wuji_limits_efforts_and_knows_its_side(monkeypatch):
-    world = WujiWorld()
-    monkeypatch.setitem(sys.modules, "wujihandpy", world.module)
-    device = WujiDevice(table("wuji_right"), "", 10.0)
-    device.open()
-    assert (world.effort_limit == 1.0).all()  # ampere, of the table's 1000 mA
-    assert world.switched == []
-    world.codes[1, 2] = 0x20
-    device.write(device.read().positions)
-    for _ in range(60):
-        reading = device.read()
-    assert reading.errors == ("index_3: error 0x20",)
-    assert (reading.temperatures == 41.0).all()
-    assert np.abs(reading.currents).max() <= 1500.0
-    device.relax()
+def test_aero_limits_are_set_before_the_first_command_and_again_after_power_on(rigs):
+    rig = rigs("aero")
+    hand, device = rig.hand, rig.open(speed=9000, torque=400)
+    assert (hand.speeds, hand.torques) == ([9000] * 7, [400] * 7)
+    device.write(np.zeros(7))
+    device.read()
+    hand.reboot()
+    with pytest.raises(DeviceLostError, match="restarted"):
+        until(lambda: device.read() and False)
     device.close()
-    assert world.switched == [True, False]
-    world.handedness = 1
-    with pytest.raises(SinkError, match="is a left hand"):
-        device.open()
-
-
-def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch):
-    world = StarkWorld()
-    monkeypatch.setitem(sys.modules, "bc_stark_sdk", world.package)
-    monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", world.main_mod)
-    device = Revo2Device(table("revo2_right"), "/dev/ttyUSB0", 460800)
     device.open()
-    world.servos.stuck.add(2)
-    device.write(np.array([0, 0, 500, 0, 0, 0.0]))
-    reading = device.read()
-    assert reading.errors == ("index: stalled",)
-    assert reading.currents.tolist() == [0, 0, 1000, 0, 0, 0]
+    device.write(np.full(7, 100.0))
+    device.read()
+    assert (hand.speeds, hand.torques) == ([9000] * 7, [400] * 7)
+    kinds = [frame[0] for frame in hand.received]
+    assert 0x32 in kinds[-20 : kinds.index(0x11, len(kinds) - 8)]
+
+
+def test_aero_opens_while_the_hand_prints_text_or_another_program_began_a_frame(rigs, monkeypatch):
+    monkeypatch.setattr(aero, "_PROBE", 0.1)
+    rig = rigs("aero")
+    rig.hand.motors.place(np.arange(7) * 9000.0)
+    rig.hand.reboot()
+    assert len(rig.hand.boot_text) % 16
+    device = rig.open()
+    assert device.read().positions.tolist() == (np.arange(7) * 9000.0).tolist()
     device.close()
-    left = StarkWorld(left=True)
-    left.number = 0x7F
-    monkeypatch.setitem(sys.modules, "bc_stark_sdk", left.package)
-    monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", left.main_mod)
-    with pytest.raises(SinkError, match="is a left hand"):
-        device.open()
+    rig.hand._buffer = bytes(5)
+    device.open()
+    assert device.read().positions.tolist() == (np.arange(7) * 9000.0).tolist()
 
 
-@pytest.mark.parametrize(
-    ("build", "other"),
-    [
-        (lambda t: InspireDevice(t, "x"), "wuji_right"),
-        (lambda t: LinkerDevice(t, "x", "l20"), "wuji_right"),
-        (lambda t: AllegroDevice(t, "x"), "wuji_right"),
-        (lambda t: AbilityDevice(t, "x", 460800, 0x50), "wuji_right"),
-        (lambda t: WujiDevice(t, "", 10.0), "ability_right"),
-        (lambda t: Revo2Device(t, "x", 460800), "wuji_right"),
-    ],
-)
-def test_a_table_of_another_hand_is_refused(build, other):
-    with pytest.raises(ConfigError, match="actuators, not"):
-        build(table(other))
+@pytest.mark.parametrize("count", [1, 15])
+def test_aero_finds_the_beginning_of_a_frame_after_lost_bytes(rigs, count, monkeypatch):
+    rig = rigs("aero")
+    hand, device = rig.hand, rig.open()
+    monkeypatch.setattr(aero, "_PROBE", 0.1)
+    rig.patience(0.3)
+    receive = hand.receive
+
+    def without(data: bytes) -> bytes:
+        hand.receive = receive
+        return receive(data[count:])
+
+    hand.receive = without
+    missed = 0
+    while quiet(device) is None:
+        missed += 1
+    assert 0 < missed <= 4
+    assert (hand.motors.targets == 0).all()
+    device.write(np.full(7, 30000.0))
+    until(lambda: (device.read().positions == 30000).all())
 
 
-def calls(kind: type) -> dict[str, list[str]]:
-    """Name of a method -> names of its parameters, without ``self``."""
-    found = {}
-    for name, method in inspect.getmembers(kind, inspect.isfunction):
-        if not name.startswith("_"):
-            found[name] = list(inspect.signature(method).parameters)[1:]
-    return found
+def test_aero_reads_currents_and_temperatures(rigs):
+    rig = rigs("aero")
+    device = rig.open()
+    rig.hand.motors.stuck.add(4)
+    rig.hand.motors.temperatures[5] = 75
+    device.write(np.full(7, 60000.0))
+    reading = read(device, 4)
+    assert reading.temperatures.tolist() == [30, 30, 30, 30, 30, 75, 30]
+    assert abs(reading.currents[4]) == pytest.approx(800, abs=6.5)
 
 
-@pytest.mark.skipif(not importlib.util.find_spec("wujihandpy"), reason="needs wujihandpy")
-def test_the_stand_in_of_wujihandpy_is_like_the_real_one():
-    import wujihandpy
-
-    for mine, real in ((WujiHand, wujihandpy.Hand), (WujiController, wujihandpy.IController)):
-        for name, parameters in calls(mine).items():
-            text = getattr(real, name).__doc__ or ""  # pybind11 writes the signature there
-            for parameter in parameters:
-                assert f"{parameter}:" in text, f"{name} of the real one takes no {parameter}"
-    assert "serial_number" in (wujihandpy.Hand.__init__.__doc__ or "serial_number")
-    wujihandpy.logging.set_log_to_console(False)
-    wujihandpy.filter.LowPass(cutoff_freq=10.0)
-    with pytest.raises(OSError):  # noqa: PT011 - what the driver turns into a sentence
-        wujihandpy.Hand(serial_number="none-of-this-number")
+def test_aero_that_homes_or_has_other_settings_is_refused(rigs, monkeypatch):
+    monkeypatch.setattr(aero, "_PROBE", 0.01)
+    rig = rigs("aero")
+    rig.hand._homed_at = rig.hand._clock() + 60
+    with pytest.raises(SinkError, match=r"does not answer; check .* that it is not homing"):
+        rig.open()
+    with pytest.raises(ConfigError, match="torque must be a whole number from 1 to 1000"):
+        rig.open(torque=1023)
 
 
-@pytest.mark.skipif(not importlib.util.find_spec("bc_stark_sdk"), reason="needs bc-stark-sdk")
-def test_the_stand_in_of_bc_stark_sdk_is_like_the_real_one():
-    from bc_stark_sdk import main_mod
+def test_aero_table_is_the_coupling_of_the_makers_package():
+    """A straight and a closed hand by the maker's coefficients: the ends of its ranges."""
+    closed = {"cmc_abd": 100, "cmc_flex": 55, "mcp": 90, "ip": 90}
+    closed |= {"mcp_flex": 90, "pip": 90, "dip": 90}
+    for actuator in read_table(built_in_tables() / "aero_right.toml").actuators:
+        radians = sum(
+            weight * np.deg2rad(closed[joint.split("_", 2)[2]])
+            for joint, weight in actuator.joints.items()
+            if weight > 0
+        )
+        assert actuator.command(radians) == pytest.approx(65535, abs=15)
+        low = 0.27778 * np.deg2rad(55) if actuator.name == "thumb_tendon" else 0.0
+        assert actuator.command(-low) == pytest.approx(0, abs=15)
 
-    for name, parameters in calls(StarkContext).items():
-        real = list(inspect.signature(getattr(main_mod.DeviceContext, name)).parameters)
-        assert real[-len(parameters) :] == parameters or not parameters, name
-    world = StarkWorld()
-    assert list(inspect.signature(main_mod.modbus_open).parameters) == ["port_name", "baudrate"]
-    for kind in ("Baudrate", "FingerUnitMode", "HandType", "MotorState"):
-        for member in getattr(world.main_mod, kind):
-            assert hasattr(getattr(main_mod, kind), member.name), f"{kind}.{member.name}"
+
+def test_inspire_sets_its_limits_and_reports_what_the_motors_do(rigs):
+    rig = rigs("inspire")
+    hand = rig.hand
+    hand.errors[1] = 4
+    device = rig.open(force=300, speed=700)
+    assert rig.limits() == [300] * 6 + [700] * 6
+    assert not hand.errors.any()  # the driver has cleared them
+    hand.errors[:] = [1, 0, 4, 0, 0, 16]
+    hand.motors.temperatures[:] = [31, 32, 71, 34, 35, 36]
+    hand.motors.stuck.add(3)
+    hand.forces[:] = 1, 2, 3, 4, 5, 6
+    device.write(np.array([1000, 1000, 1000, 400, 1000, 1000.0]))
+    reading = read(device, 8)
+    assert reading.errors == (
+        "little: rotor locked",
+        "middle: too hot",
+        "middle: too much current",
+        "index: rotor locked",
+        "thumb_rotation: motor does not answer",
+    )
+    assert reading.temperatures.tolist() == [31, 32, 71, 34, 35, 36]
+    assert reading.currents.tolist() == [0, 0, 0, 800, 0, 0]
+    assert reading.touch.tolist() == [1, 2, 3, 4, 5, 6]
 
 
-@pytest.fixture(scope="module")
-def hand() -> Hand:
-    return load_hand("orca_v2")
+def test_inspire_pads_have_their_cells_in_rows_and_columns(rigs):
+    rig = rigs("inspire-touch")
+    hand, random = rig.hand, np.random.default_rng(1)
+    for cells in hand.touch.values():
+        cells[:] = random.integers(0, 4096, cells.shape)
+    device = rig.open()
+    first = device.read()
+    assert (first.touch, first.pads) == (None, {})
+    reading = read(device, len(BLOCKS))
+    names = {f"{f}_{part}".removesuffix("_palm"): (f, part) for f, part in hand.touch}
+    assert set(reading.pads) == set(names)
+    for name, key in names.items():
+        np.testing.assert_array_equal(reading.pads[name], hand.touch[key], name)
+    assert reading.touch[6:].tolist() == [pad.sum() for pad in reading.pads.values()]
+    asked = [struct.unpack(">HH", request[8:12]) for request in hand.received if request[7] == 3]
+    assert max(count for _, count in asked) <= 125  # what Modbus allows
+    assert {block for block in asked if block[0] >= 3000} == set(BLOCKS)
+    hand.received.clear()
+    plain = rig.open(touch=0)
+    reading = read(plain, len(BLOCKS))
+    assert (reading.pads, len(reading.touch)) == ({}, 6)
+    assert not any(struct.unpack(">H", request[8:10])[0] >= 3000 for request in hand.received)
+
+
+@pytest.mark.parametrize("shift", [-1, 0, 1, 7])
+def test_inspire_transaction_number_that_is_off_costs_nothing(rigs, shift):
+    rig = rigs("inspire-touch")
+    rig.hand.transaction_shift = shift
+    device = rig.open()
+    with socket.create_connection(rig.hand.address) as other:  # a second program
+        for k in range(50):
+            other.sendall(struct.pack(">HHHBBHH", k, 0, 6, 1, 3, 1486, 6))
+            device.write(np.full(6, 900.0 - k))
+            device.read()
+    assert len(rig.hand._clients) == 2  # the driver's connection was never closed
+    assert rig.hand.motors.targets.tolist() == [851.0] * 6
+    rig.hand.motors.place([500.0] * 6)
+    assert device.read().positions.tolist() == [500.0] * 6
+
+
+def test_inspire_shift_that_changes_costs_one_answer(rigs):
+    rig = rigs("inspire-touch", patience=0.3)
+    device = rig.open()
+    device.read()
+    rig.hand.transaction_shift = -1
+    with pytest.raises(WrongAnswerError, match="no valid answer from device 1"):
+        device.read()
+    read(device, 20)
+
+
+def test_inspire_answer_that_comes_too_late_is_not_taken_for_the_next_one(rigs, monkeypatch):
+    rig = rigs("inspire-touch", patience=0.3)
+    device, receive = rig.open(), rig.hand.receive
+    rig.hand.motors.place([100.0] * 6)
+    device.read()
+
+    def slow(request: bytes) -> bytes:
+        monkeypatch.setattr(rig.hand, "receive", receive)
+        answer = receive(request)
+        time.sleep(0.6)
+        return answer
+
+    monkeypatch.setattr(rig.hand, "receive", slow)
+    with pytest.raises(WrongAnswerError):
+        device.read()
+    rig.hand.motors.place([700.0] * 6)
+    assert until(lambda: quiet(device)).positions.tolist() == [700.0] * 6
+
+
+def test_the_monitor_prints_the_pads(rigs, capsys):
+    rig = rigs("inspire-touch")
+    rig.hand.touch["index", "tip"][1, 2] = 900
+    argv = ["hardware", "monitor", rig.sink, "--json", "--seconds"]
+    until(lambda: main([*argv, "1"]) == 0)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    pads = [line["pads"] for line in lines if "pads" in line]
+    assert pads[-1]["index_tip"] == [[0, 0, 0], [0, 0, 900], [0, 0, 0]]
+
+
+@pytest.mark.parametrize(("name", "force"), [("rohand-gen1", 9000), ("rohand", 0)])
+def test_rohand_sets_limits_by_generation_and_never_starts_force_control(rigs, name, force):
+    rig = rigs(name)
+    device = rig.open(speed=30000, force=9000)
+    device.write(np.zeros(6))
+    assert rig.limits() == [900] * 6 + [force] * 5 + [30000] * 6
+    assert all((s.measured == s.expected).all() for s in device.settings())
+
+
+@pytest.mark.parametrize("name", ["rohand-gen1", "rohand"])
+def test_rohand_reports_forces_currents_and_why_a_motor_stopped(rigs, name):
+    rig = rigs(name)
+    hand, device = rig.hand, rig.open()
+    hand.forces[:] = [100, 200, 300, 400, 500]
+    hand.motors.stuck.update({1, 2})
+    hand.motors.stall_current = 500.0
+    device.write(np.full(6, 60000.0))
+    first = until(lambda: (r := read(device, 4)).errors and r)
+    assert first.errors == ("index: stuck", "middle: stuck")
+    assert first.currents[1] == 500
+    assert first.touch.tolist() == [100, 200, 300, 400, 500]
+    assert first.temperatures is None
+    assert hand.read(1086, 1) == [STUCK]
+    hand.motors.stall_current = 1000.0
+    second = until(lambda: (r := read(device, 4)).errors != first.errors and r)
+    assert second.errors == tuple(f"{n}: stopped by its current limit" for n in ("index", "middle"))
+    hand.motors.stuck.clear()
+    device.write(np.full(6, 60000.0))  # starts it again
+    until(lambda: hand.motors.positions[1] > 1000)
+
+
+def test_rohand_of_an_unknown_generation_or_without_modbus_is_refused(rigs):
+    rig = rigs("rohand")
+    rig.hand._registers[1000] = 3 << 8
+    with pytest.raises(SinkError, match=r"has version 3 of the protocol, not 1 or 2; check"):
+        rig.open()
+    rig.patience(0.1)
+    with pytest.raises(SinkError, match=r"no valid answer from device 3 .* is device 3"):
+        rig.open(device_id=3)
+    with pytest.raises(ConfigError, match="rohand has no setting 'baud'"):
+        rig.open(baud=9600)
+
+
+def test_rohand_that_initialises_says_so_and_is_used_afterwards(rigs):
+    rig = rigs("rohand")
+    rig.hand.init_time = 0.5
+    rig.hand.reboot()
+    with pytest.raises(WrongAnswerError, match=r"refused register 1000 .it is initialising"):
+        rig.open()
+    until(lambda: rig.hand._clock() >= rig.hand._ready_at)
+    rig.open()
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_table_fits_our_model(side):
-    table = read_table(built_in_tables() / f"orca_{side}.toml")
-    fingers = load_hand("orca_v2", side)
-    hand = with_wrist_joints(fingers)
-    bound = BoundMap(table, hand)
-    assert bound.determined.all()
-    low, high = hand.limits.T
-    for q in (low, high):  # our model's ends are the maker's
-        commands = bound.commands(bound.angles(hand.full_configuration(q)))
-        assert commands == pytest.approx(bound.clip(commands), abs=0.1)
-    q = fingers.full_configuration(fingers.limits[:, 0])
-    without = BoundMap(table, fingers)  # the wrist's motor holds it straight
-    held = without.commands(without.angles(q))
-    assert held[table.names.index("wrist")] == 0.0
-    assert without.joints(held) == pytest.approx(q)
-    assert without.determined.shape == q.shape
+def test_dex3_motors_are_in_the_order_of_their_side(rigs, side):
+    rig = rigs("dex3", side)
+    from simulators.dex3_dds import ORDER
 
-
-def test_without_orca_core_the_extra_is_named(hand, monkeypatch):
-    monkeypatch.setitem(sys.modules, "orca_core", None)
-    with pytest.raises(MissingExtraError, match="orca"):
-        OrcaSink().open({"right": hand}, {})
-
-
-def test_the_makers_mock_boots_approaches_and_is_read_back(hand, capsys, closing):
-    pytest.importorskip("orca_core", reason="the extra orca (orca-core) is not installed")
-    sink = build_sink("orca:mock=true,approach=5")
-    sink.open({"right": hand}, {})
-    closing(sink)
-    state = sink.state("right")
-    assert state is not None
-    q = hand.full_configuration(hand.neutral)
-    tick = replace(make_tick(hand), command=JointCommand(q, hand.joint_names))
-    until(lambda: sink.send(tick) or "approaches" not in sink.note)
-
-    def error() -> float:
-        now = sink.state("right")
-        return 9.0 if now is None else float(np.abs(now.positions - q).max())
-
-    until(lambda: sink.send(tick) or error() < 0.01)
-    assert sink.figures["wrong_answers"] == 0
-    until(lambda: "it rests" in sink.note)
-    assert capsys.readouterr().out == ""  # what the makers' library says is no result
-
-
-class _Hand:
-    """The part of a hand of orca-core that the driver uses, with the current of its motors [mA]."""
-
-    last_read_ok, calibrated, absent_joints = True, True, ()
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        wired = {name: k + 1 for k, name in enumerate(names)}
-        self.config = types.SimpleNamespace(
-            joint_ids=list(names),
-            motor_ids=list(wired.values()),
-            joint_to_motor_map=wired,
-            max_current=400.0,
-        )
-        self.current = 1750.0
-        self.at_power: list[float] = []
-
-    def connect(self, interactive: bool) -> tuple[bool, str]:
-        return True, "connected"
-
-    def init_joints(self, move_to_neutral: bool) -> None:
-        self.current = self.config.max_current
-
-    def set_max_current(self, current: float) -> None:
-        self.current = current
-
-    def enable_torque(self) -> list[int]:
-        self.at_power.append(self.current)
-        return []
-
-    def disable_torque(self) -> None:
-        pass
-
-    def set_joint_positions(self, pose: dict[str, float]) -> None:
-        pass
-
-    def disconnect(self) -> None:
-        pass
-
-
-@pytest.fixture
-def orca(monkeypatch) -> _Hand:
-    """The hand of a stand-in for orca-core."""
-    hand = _Hand(table("orca_right").names)
-    core = types.ModuleType("orca_core")
-    core.load_hand = lambda **_: hand
-    monkeypatch.setitem(sys.modules, "orca_core", core)
-    return hand
-
-
-def test_a_hand_that_is_not_calibrated_is_refused(orca):
-    orca.calibrated = False
-    with pytest.raises(SinkError, match="is not calibrated"):
-        OrcaSink().device(table("orca_right")).open()
-
-
-@pytest.mark.parametrize(("limit", "current"), [(150.0, 150.0), (None, 400.0)])
-def test_the_limit_is_back_before_torque_that_was_off(orca, limit, current):
-    actuators = table("orca_right")
-    first = replace(actuators.actuators[0], limit=limit)
-    limited = replace(actuators, limit=None, actuators=(first, *actuators.actuators[1:]))
-    device = OrcaSink().device(limited)
-    device.open()
-    commands = np.zeros(len(limited.names))
-    device.write(commands)
+    hand, device = rig.hand, rig.open(kp=1.0, kd=0.1)
+    assert device._table.names == ORDER[side]
+    sign = 1.0 if side == "right" else -1.0
+    goal = np.array([{"t": -0.1, "m": 0.4, "i": 0.9}[name[0]] for name in ORDER[side]]) * sign
+    device.write(goal)
+    until(lambda: np.abs(device.read().positions - goal).max() < 1e-6)
+    assert np.abs(hand.motors.positions - goal).max() < 1e-6
+    motor = hand.commands[-1].motor_cmd[6]
+    assert (motor.mode, motor.tau) == (0x16, 0.0)
+    assert (motor.kp, motor.kd) == pytest.approx((1.0, 0.1))
     device.relax()
-    orca.current = 1750.0  # as a motor that restarted has it
-    device.write(commands)
-    assert orca.at_power == [current, current]
-    device.close()
+    until(lambda: not hand.motors.powered.any())
+    assert {(m.mode >> 4 & 7, m.kp, m.kd) for m in hand.commands[-1].motor_cmd} == {(1, 0.0, 0.0)}
+
+
+def test_dex3_reports_heat_torque_pressure_and_errors(rigs):
+    rig = rigs("dex3")
+    hand, device = rig.hand, rig.open()
+    hand.motors.temperatures[0] = 90
+    hand.motor_errors[2], hand.error[1] = 4, 0x10
+    hand.pressure[8, 11] = 123000.0
+    hand.motors.stuck.add(3)
+    device.write(np.full(7, 0.2))
+    reading = until(lambda: (r := device.read()).currents[3] > 0 and r)
+    assert reading.temperatures.tolist() == [90, 30, 30, 30, 30, 30, 30]
+    assert reading.currents[3] == pytest.approx(800.0)
+    assert reading.touch[-1] == 123000.0
+    assert reading.errors == ("thumb_2: error 0x4", "hand: error 0x10")
+
+
+def test_dex3_names_another_program_that_commands_the_hand(rigs):
+    rig = rigs("dex3")
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+    from simulators.dex3_dds import HandCmd, MotorCmd
+
+    device = rig.open()
+    for _ in range(5):
+        device.write(np.zeros(7))
+        assert not device.read().errors
+    participant = DomainParticipant(rig.domain)
+    other = DataWriter(participant, Topic(participant, "rt/dex3/right/cmd", HandCmd))
+    motors = [MotorCmd(k | 0x10, 0.3, 0.0, 0.0, 1.5, 0.2, 0) for k in range(7)]
+
+    def named() -> bool:
+        other.write(HandCmd(motors, [0] * 4))
+        return device.read().errors == ("another program commands the hand: end it",)
+
+    until(named)
+
+
+def test_dex3_settings_and_the_lock_of_a_side():
+    assert build_sink("dex3:side=left,domain=1").bus == "dex3:1-left"
+    assert build_sink("dex3").bus == "dex3"
+    with pytest.raises(ConfigError, match="dex3: domain"):
+        build_sink("dex3:domain=300")

@@ -165,7 +165,8 @@ def test_aero_hand_works_with_the_package_of_its_maker():
 
 # --- ROHand: registers and errors of OYMotion's Modbus RTU protocol V1.0 and V2.0
 
-from simulators.rohand_modbus import RoHand, crc  # noqa: E402
+from simulators.modbus_rtu import crc  # noqa: E402
+from simulators.rohand_modbus import RoHand  # noqa: E402
 
 
 def _rtu(hand: RoHand, *body: int) -> bytes:

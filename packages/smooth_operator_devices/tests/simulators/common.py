@@ -132,24 +132,30 @@ class Motors:
 class Faults:
     """Faults of a connection, which a test switches on while a driver runs.
 
+    Args:
+        kinds: kinds of wrong answers that the device can give.
+
     Attributes:
         silent: True while the device is without power or unplugged: it hears and says nothing.
+        delay_s: time that each answer takes [s].
+        garbled: kind of fault of all answers; empty while they are right.
     """
 
     def __init__(self, *kinds: str) -> None:
-        self.silent = False
-        self._kinds = kinds
+        self.silent, self.delay_s, self.garbled = False, 0.0, ""
+        self.kinds = kinds
         self._wrong: list[str] = []
 
     def answer_wrongly(self, kind: str, times: int = 1) -> None:
         """Make the next answers wrong, for example with "checksum", "identifier" or "short"."""
-        if kind not in self._kinds:
-            raise ValueError(f"kind of wrong answer: expected one of {self._kinds}, got {kind!r}")
+        if kind not in self.kinds:
+            raise ValueError(f"kind of wrong answer: expected one of {self.kinds}, got {kind!r}")
         self._wrong += [kind] * times
 
-    def next_wrong(self) -> str | None:
-        """The fault of the answer that is being sent."""
-        return self._wrong.pop(0) if self._wrong else None
+    def next_wrong(self) -> str:
+        """The fault of the answer that is being sent; empty if it is right."""
+        time.sleep(self.delay_s)
+        return self._wrong.pop(0) if self._wrong else self.garbled
 
 
 class SerialDevice(Protocol):
@@ -236,11 +242,15 @@ class SerialLine:
             if hasattr(self.device, "poll") and (unasked := self.device.poll()):
                 self.send(unasked)
             try:
-                if not select.select([master], [], [], 0.01)[0]:
-                    continue
-                data = os.read(master, 4096)
+                select.select([master], [], [], 0.01)
             except (OSError, ValueError):
                 continue  # the adapter was pulled out just now
+            with self._lock:  # another thread must not close the port between the check and reading
+                if self._ends is None or self._ends[0] != master:
+                    continue
+                if not select.select([master], [], [], 0.0)[0]:
+                    continue
+                data = os.read(master, 4096)
             if self.echo:
                 self.send(data)
             answer = self.device.receive(data)

@@ -1,4 +1,4 @@
-"""An Inspire RH56DFTP hand with touch cells, on Modbus TCP.
+"""An Inspire RH56DFTP hand with touch cells, on Modbus TCP or RTU.
 
 Sources:
 
@@ -40,6 +40,7 @@ import time
 import numpy as np
 
 from .common import Clock, Faults, Motors
+from .modbus_rtu import RtuDevice
 
 FINGERS = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotation")
 _FINGER = {"tip": (0, (3, 3)), "nail": (18, (12, 8)), "pad": (210, (10, 8))}
@@ -170,7 +171,7 @@ class InspireTouchHand:
             return b""
         self.received.append(request)
         transaction, protocol, _, unit = struct.unpack(">HHHB", request[:7])
-        body = self._answer(request[7], request[8:])
+        body = self.answer(request[7], request[8:])
         wrong = self.faults.next_wrong()
         transaction = (transaction + self.transaction_shift) & 0xFFFF
         unit = (unit + 1) & 0xFF if wrong == "unit" else unit
@@ -178,7 +179,8 @@ class InspireTouchHand:
         answer = struct.pack(">HHHB", transaction, protocol, len(body) + 1, unit) + body
         return answer[:-3] if wrong == "short" else answer
 
-    def _answer(self, function: int, body: bytes) -> bytes:
+    def answer(self, function: int, body: bytes) -> bytes:
+        """Function code and data that answer a request."""
         if function not in (3, 6, 16) or len(body) < 4:
             return bytes([function | 0x80, 1])
         address, count = struct.unpack(">HH", body[:4])
@@ -256,3 +258,13 @@ class InspireTouchHand:
             if name[0] == "palm":
                 cells = cells[::-1].T
             self._memory[address : address + 2 * cells.size] = cells.astype("<u2").tobytes()
+
+
+class InspireSerialHand(RtuDevice, InspireTouchHand):
+    """The same hand on a serial line: ``with SerialLine(InspireSerialHand()) as line``."""
+
+    node = 1
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.faults = Faults(*self.WRONG)

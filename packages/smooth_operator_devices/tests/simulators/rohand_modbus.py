@@ -33,6 +33,7 @@ import time
 import numpy as np
 
 from .common import Clock, Faults, Motors
+from .modbus_rtu import RtuDevice
 
 FINGERS = ("thumb", "index", "middle", "ring", "little", "thumb_rotation")
 OPENING, CLOSING, REACHED, OVER_CURRENT, FORCE_REACHED, STUCK = range(6)
@@ -45,17 +46,7 @@ ANGLES = {  # open, closed [0.01°] of each generation
 }
 
 
-def crc(data: bytes) -> bytes:
-    """The check of Modbus RTU, low byte first."""
-    value = 0xFFFF
-    for byte in data:
-        value ^= byte
-        for _ in range(8):
-            value = value >> 1 ^ (0xA001 if value & 1 else 0)
-    return value.to_bytes(2, "little")
-
-
-class RoHand:
+class RoHand(RtuDevice):
     """A simulated ROHand; bytes in, bytes out.
 
     hand = RoHand(generation=2)                   # or with clock=ManualClock()
@@ -77,12 +68,10 @@ class RoHand:
         self.generation = generation
         self.node = node
         self.init_time = init_time
-        self.faults = Faults("checksum", "identifier", "short")
+        self.faults = Faults(*self.WRONG)
         self.motors = Motors(np.zeros(6), 65535.0, clock=clock)
         self.forces = np.zeros(5, dtype=int)  # mN
-        self.received: list[bytes] = []
         self._clock = clock
-        self._buffer = b""
         self._start()
         self._ready_at = clock()
 
@@ -110,39 +99,11 @@ class RoHand:
     def reboot(self) -> None:
         """Switch the hand off and on: limits and speeds are at their defaults again."""
         self._start()
-        self._buffer = b""
+        self.buffer = b""
         self._ready_at = self._clock() + self.init_time
 
-    def receive(self, data: bytes) -> bytes:
-        """Answer the requests in the bytes; an incomplete request waits for its rest."""
-        self._buffer += data
-        answers = b""
-        while len(self._buffer) >= 8:
-            length = 8
-            if self._buffer[1] == 16:
-                length = 9 + self._buffer[6]
-            if len(self._buffer) < length:
-                break
-            request = self._buffer[:length]
-            if crc(request[:-2]) != request[-2:]:
-                self._buffer = b""  # the pause that ends a frame is not seen here
-                break
-            self._buffer = self._buffer[length:]
-            if request[0] == self.node and not self.faults.silent:
-                self.received.append(request)
-                answers += self._wrong(self._answer(request[1], request[2:-2]))
-        return answers
-
-    def _wrong(self, answer: bytes) -> bytes:
-        wrong = self.faults.next_wrong()
-        node = self.node + 1 if wrong == "identifier" else self.node
-        framed = bytes([node]) + answer
-        framed += crc(framed)
-        if wrong == "checksum":
-            framed = framed[:-1] + bytes([framed[-1] ^ 0x55])
-        return framed[:-2] if wrong == "short" else framed
-
-    def _answer(self, function: int, body: bytes) -> bytes:
+    def answer(self, function: int, body: bytes) -> bytes:
+        """Function code and data that answer a request."""
         address, count = int.from_bytes(body[:2], "big"), int.from_bytes(body[2:4], "big")
         if function not in (3, 6, 16):
             return bytes([function | 0x80, ILLEGAL_FUNCTION])
