@@ -10,6 +10,7 @@ import pytest
 from smooth_operator import load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, DocumentError, HandModelError, UnknownNameError
+from smooth_operator.source_digest import HOME
 from smooth_operator_research.cross_hand import fixed_wrist, matrix, tables, trials
 from smooth_operator_research.cross_hand.matrix import MatrixSettings, run_matrix, tracker_of
 from smooth_operator_research.cross_hand.results import Cell, MatrixResults, Row, Trial
@@ -171,7 +172,17 @@ def test_the_digest_of_a_trial_follows_its_hand_and_method(monkeypatch):
     matrix.trial_code.__wrapped__("cube", "leap_hand", "smooth:teleop")
     matrix.trial_code.__wrapped__("cube", "leap_hand", "ako:published")
     assert ["baselines" in names for names in named] == [False, True]
+    assert ["retargeting/smooth_terms.py" in names for names in named] == [True, False]
     assert not any(name.startswith("hands/models") for names in named for name in names)
+
+
+def test_only_smooth_uses_the_files_that_other_methods_leave_out():
+    for path in [*(HOME / "retargeting").rglob("*.py"), *(HOME / "baselines").rglob("*.py")]:
+        if path.relative_to(HOME).as_posix() in matrix._SMOOTH_CODE:
+            continue
+        text = path.read_text(encoding="utf-8")
+        for name in matrix._SMOOTH_CODE:
+            assert f"retargeting.{Path(name).stem} import" not in text, path
 
 
 def test_differences_are_paired_by_world_and_corrected(tmp_path, monkeypatch):

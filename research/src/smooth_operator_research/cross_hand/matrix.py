@@ -192,6 +192,15 @@ _MOVING_WRIST_CODE: Final = (
 """Files of a trial with a moving wrist, besides those of every trial."""
 
 
+_RETARGETING: Final = HOME / "retargeting"
+
+_SMOOTH_CODE: Final = {
+    f"retargeting/{name}.py"
+    for name in ("smooth", "smooth_terms", "correspondence", "fingertip_filter")
+}
+"""Files that only ``smooth`` uses."""
+
+
 @cache
 def trial_code(task: str, hand: str, method: str) -> str:
     """Digest of the code and data on which the trials of a cell depend: the simulation, the task,
@@ -207,7 +216,11 @@ def trial_code(task: str, hand: str, method: str) -> str:
     names.add(f"demonstrations/data/{hand if method == CEILING else DEFAULT_HAND}")
     config = None if method == CEILING else method_of(method)
     if config is not None:
-        names.add("retargeting")
+        files = {
+            f"retargeting/{path.relative_to(_RETARGETING).as_posix()}"
+            for path in _RETARGETING.rglob("*.py")
+        }
+        names |= files if method.startswith("smooth:") else files - _SMOOTH_CODE
         if ".baselines." in type(config).__module__:
             names.add("baselines")
     code = research_digest(*sorted(names))
