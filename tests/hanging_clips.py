@@ -1,29 +1,45 @@
-"""Made clips of which one hangs its reader, with a short time for reading."""
+"""Readers of two hands that hang at one clip, or kill the process that first reads it."""
 
+import os
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from made_clips import MadeClips
+from two_hands import Pairs
 
 from smooth_operator.datasets import work
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 
-LAYOUT = "hanging_clips:CLIPS"
-work.READING_S = 10.0  # a busy machine takes over a second for the other clips
+ODD_ONE = "02"
+work.READING_S = 3.0  # a busy machine reads the other clips in less
 
 
-class HangingClips(MadeClips):
-    """The third clip never comes."""
+class Hanging(Pairs):
+    """The clip ``ODD_ONE`` never comes."""
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        return (replace(ref, layout=LAYOUT) for ref in super().clips(path))
+        return (replace(ref, layout="hanging_clips:HANGING") for ref in super().clips(path))
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        if ref.key == "2":
+        if ref.name == ODD_ONE:
             time.sleep(600.0)
         return super().read(ref, options)
 
 
-CLIPS = HangingClips()
+class Fatal(Pairs):
+    """The process that first reads the clip ``ODD_ONE`` is killed."""
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        return (replace(ref, layout="hanging_clips:FATAL") for ref in super().clips(path))
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        mark = ref.path.with_name("killed")
+        if ref.name == ODD_ONE and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().read(ref, options)
+
+
+HANGING, FATAL = Hanging(), Fatal()

@@ -14,7 +14,7 @@ from typing import Any
 import dataset_files as files
 import fuzzing
 import numpy as np
-from hostile_files import damaged_hdf5
+from hostile_files import damaged_hdf5, odd_columns
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
@@ -90,18 +90,6 @@ def damaged_parquet(draw: DrawFn, data: bytes) -> bytes:
         return draw(fuzzing.damaged_bytes(data))
     table = pq.read_table(io.BytesIO(data))
     rows = table.num_rows
-    columns = [
-        pa.nulls(rows),
-        pa.array([[1]] * rows),
-        pa.array(["x" * 3000] * rows),
-        pa.array([-1] * rows),
-        pa.array([2**62] * rows),
-        pa.array([1e308] * rows),
-        pa.array([float("nan")] * rows),
-        pa.array([{"a": 1}] * rows),
-        pa.array([[[1e308] * 3] * 21] * rows),
-        pa.array([[[0.0] * 3] * 20] * rows),
-    ]
     for _ in range(draw(st.sampled_from((1, 1, 3)))):
         at, other = (draw(st.integers(0, table.num_columns - 1)) for _ in range(2))
         name = table.column_names[at]
@@ -109,7 +97,7 @@ def damaged_parquet(draw: DrawFn, data: bytes) -> bytes:
         if kind == 0 and table.num_columns > 1:
             table = table.drop_columns([name])
         elif kind == 1:
-            table = table.set_column(at, name, draw(st.sampled_from(columns)))
+            table = table.set_column(at, name, draw(st.sampled_from(odd_columns(rows))))
         elif kind == 2:
             table = table.set_column(at, name, table.column(other))
         elif kind == 3:
@@ -147,28 +135,9 @@ def damaged_pickle(draw: DrawFn, data: bytes) -> bytes:
         return draw(fuzzing.damaged_bytes(data))
     value = pickle.loads(data)
     strange = (
-        None,
-        0,
-        1,
-        -1,
-        1e308,
-        float("nan"),
-        10**30,
-        "",
-        "right",
-        [],
-        {},
-        [[]],
-        b"x",
-        (),
-        np.zeros(0),
-        np.zeros((21, 3)),
-        np.full((1, 21, 3), 1e30),
-        np.array("x"),
-        np.zeros((21, 3), np.float16),
-        True,
-        10**6,
-        999_999,
+        *(None, True, 0, 1, -1, 1e308, float("nan"), 10**6, 999_999, 10**30),
+        *("", "right", b"x", [], {}, [[]], (), np.array("x"), np.zeros(0)),
+        *(np.zeros((21, 3)), np.full((1, 21, 3), 1e30), np.zeros((21, 3), np.float16)),
     )
     for _ in range(draw(st.sampled_from((1, 1, 3, 20)))):
         holders = fuzzing.holders(value)
@@ -251,15 +220,18 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
 
 def _packed(folder: Path) -> bytes:
     """Three clips in the format of the Parquet writer."""
-    from made_clips import made_clip
+    from two_hands import PAIRS, save_pairs
 
     from smooth_operator.datasets.clip import RobotClip
     from smooth_operator.datasets.writers.parquet import PARQUET
     from smooth_operator.datasets.writers.registry import WritingOptions
+    from smooth_operator.formats.clip import ReadingOptions
 
     with PARQUET.open(folder / "packed", WritingOptions()) as writer:
-        for number in range(3):
-            writer.write(RobotClip(made_clip(number, (0.3, 0.6)), {}, {}, {}, {}, key=str(number)))
+        for path in sorted(save_pairs(folder / "pairs", 3).iterdir()):
+            (ref,) = PAIRS.clips(path)
+            clip = PAIRS.read(ref, ReadingOptions())
+            writer.write(RobotClip(clip, {}, {}, {}, {}, key=ref.name))
     (path,) = (folder / "packed" / "data").iterdir()
     return path.read_bytes()
 

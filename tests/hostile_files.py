@@ -168,28 +168,12 @@ def _operator(folder: Path) -> bytes:
 
 def _geort() -> bytes:
     rng = np.random.default_rng(0)
-    shapes = {
-        "w1": (2, 3, 4),
-        "b1": (2, 4),
-        "w2": (2, 4, 4),
-        "b2": (2, 4),
-        "w3": (2, 4, 2),
-        "b3": (2, 2),
-        "centre": (2, 3),
-        "scale": (2,),
-        "poses": (8, 3),
-        "tips": (8, 2, 3),
-    }
-    about = {
-        "format": "smooth-operator geort",
-        "version": 1,
-        "hand": "h",
-        "side": "right",
-        "fingers": ["thumb", "index"],
-        "joints": [["a", "b"], ["c"]],
-        "limits": [[[0, 1], [0, 1]], [[0, 1]]],
-        "training": {"steps": 3},
-    }
+    weights = {"w1": (2, 3, 4), "b1": (2, 4), "w2": (2, 4, 4), "b2": (2, 4), "w3": (2, 4, 2)}
+    shapes = weights | {"b3": (2, 2), "centre": (2, 3), "scale": (2,)}
+    shapes |= {"poses": (8, 3), "tips": (8, 2, 3)}
+    about = {"format": "smooth-operator geort", "version": 1, "hand": "h", "side": "right"}
+    about |= {"fingers": ["thumb", "index"], "joints": [["a", "b"], ["c"]]}
+    about |= {"limits": [[[0, 1], [0, 1]], [[0, 1]]], "training": {"steps": 3}}
     arrays = {name: rng.normal(size=shape) for name, shape in shapes.items()}
     return _npz(about=np.array(json.dumps(about)), **arrays)
 
@@ -200,16 +184,9 @@ def _trial(folder: Path) -> bytes:
 
     record = TrialRecord("card", "h", "right", ("a", "b"), events=[(0.0, "go")])
     for i in range(5):
-        vector = np.full(3, 0.1 * i)
-        state = SceneState(
-            0.01 * i,
-            vector,
-            np.array([1.0, 0, 0, 0]),
-            vector,
-            vector,
-            np.zeros(2),
-            np.zeros((2, 3)),
-        )
+        vector, turn = np.full(3, 0.1 * i), np.array([1.0, 0, 0, 0])
+        forces, tips = np.zeros(2), np.zeros((2, 3))
+        state = SceneState(0.01 * i, vector, turn, vector, vector, forces, tips)
         record.add(state, np.zeros(2))
     record.outcome, record.about = Outcome(1.0, "done", 3.0, "success", "held", 0), {"x": 1}
     write_trial(folder / "t.npz", record)
@@ -279,6 +256,15 @@ def damaged_hdf5(draw: DrawFn, data: bytes) -> bytes:
 
     if draw(st.integers(0, 9)) > 4:
         return draw(fuzzing.damaged_bytes(data))
+    values = (
+        *(h5py.ExternalLink("other.h5", "/x"), h5py.SoftLink("/hand"), h5py.Empty("f8"), 7),
+        *("text", np.zeros(3), np.zeros((2, 21, 3), complex), np.array(b"x"), [b"a", b"b"]),
+        np.zeros(3, [("a", "f8")]),
+    )
+    shapes = ((10**9,), (10**6, 21, 3), (10**12, 2), (0, 21, 3), (5, 21, 3))
+    keys = ("format", "version", "name", "task", "side", "meta", "status_names", "stage")
+    texts = ("{", "[" * 5000, "é" * 9000, "smooth-operator", '{"a": ' * 90 + "1" + "}" * 90)
+    others = (1, 1e300, b"\xff", [1, 2], ["a", "b"], np.nan, h5py.Empty("S4"))
     stream = io.BytesIO(data)
     with h5py.File(stream, "r+") as file:
         names: list[str] = []
@@ -288,102 +274,54 @@ def damaged_hdf5(draw: DrawFn, data: bytes) -> bytes:
         if kind < 3:
             del file[name]
         if kind == 1:
-            file[name] = draw(
-                st.sampled_from(
-                    (
-                        h5py.ExternalLink("other.h5", "/x"),
-                        h5py.SoftLink("/hand"),
-                        np.zeros(3),
-                        "text",
-                        np.zeros((2, 21, 3), complex),
-                        np.array(b"x"),
-                        h5py.Empty("f8"),
-                        [b"a", b"b"],
-                        np.zeros(3, [("a", "f8")]),
-                        7,
-                    )
-                )
-            )
+            file[name] = draw(st.sampled_from(values))
         elif kind == 2:
-            shapes = ((10**9,), (10**6, 21, 3), (10**12, 2), (0, 21, 3), (5, 21, 3))
             file.create_dataset(name, draw(st.sampled_from(shapes)), "f8", chunks=True)
         elif kind > 2:
-            keys = ("format", "version", "name", "task", "side", "meta", "status_names", "stage")
             attributes = draw(st.sampled_from((file, file[name]))).attrs
-            attributes[draw(st.sampled_from(keys))] = draw(
-                st.sampled_from(
-                    (
-                        "{",
-                        "[" * 5000,
-                        "é" * 9000,
-                        1,
-                        1e300,
-                        b"\xff",
-                        [1, 2],
-                        ["a", "b"],
-                        np.nan,
-                        "smooth-operator",
-                        '{"a": ' * 90 + "1" + "}" * 90,
-                        h5py.Empty("S4"),
-                    )
-                )
-            )
+            value = draw(st.sampled_from(texts) | st.sampled_from(others))
+            attributes[draw(st.sampled_from(keys))] = value
     return stream.getvalue()
+
+
+_DATA_PATHS = (
+    *("{chunk_index.foo}", "{chunk_index:2000000000}", "a\0b", "../{file_index}", "{", "{0}"),
+    *("{chunk_index.__class__}", "x" * 5000, "{chunk_index!r:>{file_index}}"),
+)
+
+
+def odd_columns(rows: int) -> list[Any]:
+    """Columns of Parquet that hold something else than a reader expects."""
+    import pyarrow as pa
+
+    values = ([1], "[" * 3000, -1, 2**62, 1e308, float("nan"), {"a": 1})
+    nested = ([[1e308] * 3] * 21, [[0.0] * 3] * 20)
+    return [pa.nulls(rows), *(pa.array([value] * rows) for value in (*values, *nested))]
 
 
 @st.composite
 def damaged_dataset(draw: DrawFn, good: Path, folder: Path) -> Path:
     """A copy of a LeRobot data set in which a file is damaged, or a column is of another type."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(good, folder)
     info = folder / "meta" / "info.json"
     kind = draw(st.integers(0, 3))
+    path = draw(st.sampled_from(sorted(folder.rglob("*.parquet"))))
     if kind == 0:
         content = json.loads(info.read_bytes())
-        content["data_path"] = draw(
-            st.sampled_from(
-                (
-                    "{chunk_index.foo}",
-                    "{chunk_index:2000000000}",
-                    "a\0b",
-                    "../{file_index}",
-                    "{",
-                    "{chunk_index.__class__}",
-                    "{0}",
-                    "x" * 5000,
-                    "{chunk_index!r:>{file_index}}",
-                )
-            )
-        )
+        content["data_path"] = draw(st.sampled_from(_DATA_PATHS))
         info.write_text(json.dumps(content))
-        return folder
-    if kind == 1:
+    elif kind == 1:
         info.write_bytes(draw(fuzzing.damaged_json(info.read_bytes())))
-        return folder
-    path = draw(st.sampled_from(sorted(folder.rglob("*.parquet"))))
-    if kind == 2:
+    elif kind == 2:
         path.write_bytes(draw(fuzzing.damaged_bytes(path.read_bytes())))
-        return folder
-    table = pq.read_table(path, partitioning=None)
-    rows = table.num_rows
-    name = draw(st.sampled_from(table.column_names))
-    new = draw(
-        st.sampled_from(
-            (
-                pa.nulls(rows),
-                pa.array([[1]] * rows),
-                pa.array(["[" * 3000] * rows),
-                pa.array([-1] * rows),
-                pa.array([2**62] * rows),
-                pa.array([float("nan")] * rows),
-                pa.array([{"a": 1}] * rows),
-            )
-        )
-    )
-    pq.write_table(table.set_column(table.column_names.index(name), name, new), path)
+    else:
+        table = pq.read_table(path, partitioning=None)
+        at = draw(st.integers(0, table.num_columns - 1))
+        new = draw(st.sampled_from(odd_columns(table.num_rows)))
+        pq.write_table(table.set_column(at, table.column_names[at], new), path)
     return folder
 
 

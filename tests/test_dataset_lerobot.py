@@ -199,13 +199,13 @@ def test_a_one_handed_first_clip_has_the_requested_columns(tmp_path):
 
 
 def test_many_clips_are_few_files(tmp_path, monkeypatch):
-    monkeypatch.setattr("smooth_operator.datasets.writers.lerobot._Writer.most_clips", 50)
-    write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(120)])
+    monkeypatch.setattr("smooth_operator.datasets.writers.lerobot._Writer.most_clips", 5)
+    write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(12)])
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
     assert len(files) == 6 + 3 * 3  # three shards: frames, episodes, index
     _, frames, episodes = read(tmp_path / "out")
-    assert frames.num_rows == 360
-    assert episodes.column("data/file_index").to_pylist() == [0] * 50 + [1] * 50 + [2] * 20
+    assert frames.num_rows == 36
+    assert episodes.column("data/file_index").to_pylist() == [0] * 5 + [1] * 5 + [2] * 2
 
 
 def mp4(path: Path, *, frames: int = 200, step: int = 512, scale: int = 15360) -> Path:

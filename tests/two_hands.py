@@ -43,19 +43,11 @@ class Pairs:
             for side in SIDES
             if f"{side}_landmarks" in arrays
         }
-        return Clip(
-            ref.name,
-            hands,
-            "pairs",
-            (ref.path,),
-            str(arrays["task"]) if "task" in arrays else None,
-            {
-                side: arrays[f"{side}_confidence"]
-                for side in SIDES
-                if f"{side}_confidence" in arrays
-            },
-            arrays.get("camera"),
-        )
+        sure = {s: arrays[f"{s}_confidence"] for s in SIDES if f"{s}_confidence" in arrays}
+        task = str(arrays["task"]) if "task" in arrays else None
+        meta = {"operator": "built-in"}
+        camera = arrays.get("camera")
+        return Clip(ref.name, hands, "pairs", (ref.path,), task, sure, camera, meta=meta)
 
 
 PAIRS = Pairs()
@@ -79,3 +71,20 @@ def save_pair(path: Path, frames: int, seed: int = 0, **more: Any) -> dict[str, 
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
     return arrays
+
+
+def save_pairs(folder: Path, clips: int) -> Path:
+    """Writes clips of 10 frames and more; in every second one the right hand is lost in the end."""
+    for number in range(clips):
+        frames = 10 + 3 * number
+        sure = np.ones(frames)
+        sure[frames - 4 :] = number % 2
+        save_pair(
+            folder / f"{number:02d}{SUFFIX}",
+            frames,
+            number,
+            task=f"task {number}",
+            right_confidence=sure,
+            left_confidence=np.full(frames, 0.75),
+        )
+    return folder
