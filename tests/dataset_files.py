@@ -6,7 +6,6 @@ and container of its layout. ``wrong_frames`` counts the frames of a clip that s
 
 import io
 import json
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -65,6 +64,10 @@ def hand(side: Side, seconds: float = 1.0) -> Hand:
     wrist = sent.T_world_wrist.copy()
     wrist[:, :3] += shift
     return Hand(nodes + shift, wrist)
+
+
+def other(side: Side) -> Side:
+    return "left" if side == "right" else "right"
 
 
 def wrong_frames(points: np.ndarray, valid: np.ndarray, side: Side) -> tuple[int, int]:
@@ -130,7 +133,7 @@ def egodex_file(
     with h5py.File(path, "w") as file:
         for side in SIDES:
             it = hand(side)
-            named = side if not exchanged else {"right": "left", "left": "right"}[side]
+            named = other(side) if exchanged else side
             nodes = arkit(it.nodes)
             turn = np.stack([app.turn(q) for q in it.wrist[:, 3:]])
             fingers, _, back = (arkit(turn[:, :, k]) for k in range(3))
@@ -185,7 +188,7 @@ def avp_file(
                 now = app.avp_jsonl_hand(np.eye(4), still)
             if lost is None or k not in lost.get(side, ()):
                 last[side] = now
-            named = side if not exchanged else {"right": "left", "left": "right"}[side]
+            named = other(side) if exchanged else side
             line[f"{named}Hand"] = last[side]
         lines.append(json.dumps(line, separators=(",", ":")))
     path.write_text("\n".join(lines) + "\n")
@@ -202,7 +205,7 @@ def hts_file(
             local = (it.points[k] - it.points[k, 0]) @ app.turn(it.wrist[k, 3:])
             at = 10**9 + round(k / RATE * 1e9) + n * apart_ns
             meta = f" | f = {k} | t = {at}" if stamped else ""
-            named = side if not exchanged else {"right": "left", "left": "right"}[side]
+            named = other(side) if exchanged else side
             parts.append(app.hts_packet(named, tuple(it.wrist[k]), local, meta))
     path.write_bytes(b"\n".join(parts))
 
@@ -255,17 +258,13 @@ def plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def pickled(value: Any) -> bytes:
-    return pickle.dumps(value)
-
-
 def egotouch_lines(*, exchanged: bool = False) -> str:
     """``wilor_hands.json`` of EgoTouch: a line for each frame; the left hand is missing in one."""
     rows = []
     for k in range(len(hand("right").wrist)):
         row: dict[str, Any] = {"frame_index": k}
         for side in SIDES:
-            named = side if not exchanged else {"right": "left", "left": "right"}[side]
+            named = other(side) if exchanged else side
             row[f"{named}_pos"] = in_camera(side)[k].round(6).tolist()
         if k == 4:
             row["left_pos"] = None
@@ -277,7 +276,7 @@ def hawor_tags(*, exchanged: bool = False) -> dict[str, Any]:
     """What Data-Juicer's operator of HaWoR puts into a sample; the left hand from frame 5 on."""
     out: dict[str, Any] = {"fov_x": 1.0, "img_focal": 600.0}
     for side in SIDES:
-        named = side if not exchanged else {"right": "left", "left": "right"}[side]
+        named = other(side) if exchanged else side
         first = 0 if side == "right" else 5
         points = in_camera(side)[first:]
         out[named] = {
@@ -337,7 +336,7 @@ def egohandkit_file(
         10**9 + round(k / RATE * 1e9) if stamped else None for k in range(count)
     ]
     for side in SIDES:
-        named = side if not exchanged else {"right": "left", "left": "right"}[side]
+        named = other(side) if exchanged else side
         gone = {count - 1} | (set(range(6, 9)) if side == "left" else set())
         points = in_camera(side).astype(np.float32)
         missing = None if empty_rows else np.full((21, 3), np.nan, np.float32).tolist()
@@ -362,7 +361,7 @@ def landmarks_file(path: Path, *, exchanged: bool = False, **more: Any) -> None:
     count = len(hand("right").wrist)
     arrays: dict[str, Any] = {"timestamps": 5.0 + np.arange(count) / RATE}
     for side in SIDES:
-        named = side if not exchanged else {"right": "left", "left": "right"}[side]
+        named = other(side) if exchanged else side
         arrays[named] = hand(side).points
         arrays[f"T_world_wrist_{named}"] = hand(side).wrist
     arrays |= more

@@ -6,6 +6,7 @@ the other one in most of its frames.
 
 import io
 import json
+import pickle
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -19,25 +20,24 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.formats.clip import ReadingOptions
 
 FEWEST = 5
 """Whole frames without which a side is not judged."""
 
 
-def read_soundly(layout: str, path: Path) -> None:
+def read_soundly(layout: str, path: Path, options: ReadingOptions) -> None:
     """Reads a file as the command does.
 
     Raises:
         SmoothOperatorError: it is refused.
         AssertionError: it is not read soundly.
     """
-    from smooth_operator.formats.clip import ReadingOptions
     from smooth_operator.formats.registry import READERS
 
     reader = READERS.load(layout)
     reader.matches(path)
     for ref in reader.clips(path):
-        options = ReadingOptions(rate=files.RATE, mano=path.parent.parent / "mano")
         clip = reader.read(ref, options)
         assert clip.hands
         assert (np.diff(clip.stamps) > 0).all()
@@ -45,7 +45,13 @@ def read_soundly(layout: str, path: Path) -> None:
             assert np.isfinite(hand.landmarks[hand.valid]).all()
             wrong, whole = files.wrong_frames(hand.landmarks, hand.valid, side)
             assert whole < FEWEST or wrong < whole / 2, f"{wrong} of {whole} frames of {side}"
+        placed = [one.T_world_object for one in clip.objects]
+        placed += [] if clip.T_world_camera is None else [clip.T_world_camera]
+        for poses in placed:
+            known = poses[np.isfinite(poses).all(axis=1)]
+            np.testing.assert_allclose(np.linalg.norm(known[:, 3:], axis=1), 1.0, atol=1e-6)
         json.dumps(clip.meta, allow_nan=False)
+        assert clip.task is None or len(clip.task) <= 2000
 
 
 @st.composite
@@ -129,8 +135,6 @@ def damaged_lines(draw: DrawFn, data: bytes) -> bytes:
 @st.composite
 def damaged_pickle(draw: DrawFn, data: bytes) -> bytes:
     """Values of a pickle's lists and tables are replaced, dropped or doubled; or bytes."""
-    import pickle
-
     if draw(st.integers(0, 9)) > 5:
         return draw(fuzzing.damaged_bytes(data))
     value = pickle.loads(data)
@@ -166,11 +170,12 @@ def outcomes(
     """What came of mutants of the good files of a layout: ``read``, ``refused``."""
     found = set()
     folder.mkdir()
+    options = ReadingOptions(rate=30.0, mano=folder.parent / "mano")
 
     def read(mutant: tuple[Path, bytes]) -> None:
         mutant[0].write_bytes(mutant[1])
         try:
-            read_soundly(layout, mutant[0])
+            read_soundly(layout, mutant[0], options)
         except SmoothOperatorError as error:
             found.add("refused")
             assert 20 < len(str(error)) < 1500  # noqa: PT017
@@ -204,7 +209,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
         "egohandkit": [(*made("a.parquet", files.egohandkit_file), damaged_parquet)],
         "parquet": [("p.parquet", _packed(folder), damaged_parquet)],
         "predictions": [
-            ("a.pkl", files.pickled(files.wilor_frames()), damaged_pickle),
+            ("a.pkl", pickle.dumps(files.wilor_frames()), damaged_pickle),
             (
                 "a.json",
                 json.dumps(files.plain(files.wilor_frames())).encode(),
@@ -212,7 +217,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
             ),
             ("wilor_hands.json", files.egotouch_lines().encode(), damaged_lines),
             ("b.json", json.dumps(files.hawor_tags()).encode(), fuzzing.damaged_json),
-            ("c.pkl", files.pickled(files.hamer_arrays()), damaged_pickle),
+            ("c.pkl", pickle.dumps(files.hamer_arrays()), damaged_pickle),
             ("a.npz", files.detections_npz(), fuzzing.damaged_npz),
         ],
     }
@@ -225,7 +230,6 @@ def _packed(folder: Path) -> bytes:
     from smooth_operator.datasets.clip import RobotClip
     from smooth_operator.datasets.writers.parquet import PARQUET
     from smooth_operator.datasets.writers.registry import WritingOptions
-    from smooth_operator.formats.clip import ReadingOptions
 
     with PARQUET.open(folder / "packed", WritingOptions()) as writer:
         for path in sorted(save_pairs(folder / "pairs", 3).iterdir()):
@@ -234,18 +238,3 @@ def _packed(folder: Path) -> bytes:
             writer.write(RobotClip(clip, {}, {}, {}, {}, key=ref.name))
     (path,) = (folder / "packed" / "data").iterdir()
     return path.read_bytes()
-
-
-def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
-    """The same of the layouts in MANO's parameters; the model files are in ``folder/mano``."""
-    import mano_files
-    import test_dataset_reconstructions as made
-
-    mano_files.write_models(folder / "mano")
-    path = made.hawor_folder(folder / "kitchen")
-    stream = io.BytesIO()
-    np.savez(stream, **made.dyn_hamr_arrays())
-    return {
-        "hawor": [(path.name, path.read_bytes(), fuzzing.damaged_bytes)],
-        "dynhamr": [("a.npz", stream.getvalue(), fuzzing.damaged_npz)],
-    }

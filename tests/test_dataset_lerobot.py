@@ -183,11 +183,9 @@ def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(second, options
 def test_other_joints_are_refused(tmp_path):
     clip = robot_clip(0)
     other = replace(clip.commands["left"], joint_names=JOINTS[::-1])
+    second = replace(clip, key="b", commands={**clip.commands, "left": other})
     with pytest.raises(RecordingError, match="other joints"):
-        write(
-            tmp_path / "out",
-            [clip, replace(clip, key="b", commands={**clip.commands, "left": other})],
-        )
+        write(tmp_path / "out", [clip, second])
 
 
 def test_a_one_handed_first_clip_has_the_requested_columns(tmp_path):
@@ -251,24 +249,23 @@ def test_a_video_of_several_clips_is_placed_once(how, tmp_path):
 
 
 def test_videos_that_do_not_fit_are_refused(tmp_path):
-    film = mp4(tmp_path / "film.mp4")
-    faster = mp4(tmp_path / "faster.mp4", step=256)
+    film, faster = mp4(tmp_path / "film.mp4"), mp4(tmp_path / "faster.mp4", step=256)
     assert float(video_head(faster).rate) == 60.0
-    with pytest.raises(RecordingError, match="60 frames per second, but the data set has 30"):
-        write(
-            tmp_path / "a", [robot_clip(0, video=film), robot_clip(1, video=faster)], videos="link"
+    fitting = robot_clip(0, video=film)
+    for number, (clips, options, said) in enumerate(
+        (
+            ([fitting, robot_clip(1, video=faster)], {}, "60 frames per second, but the data set"),
+            ([fitting], {"rate": 15.0}, "15 were requested"),
+            ([robot_clip(0, video=film, video_start_s=7.0)], {}, "which has only 200 frames"),
+            ([robot_clip(0, video=tmp_path / "none.mp4")], {}, "no such video"),
         )
-    with pytest.raises(RecordingError, match="15 were requested"):
-        write(tmp_path / "b", [robot_clip(0, video=film)], videos="link", rate=15.0)
-    with pytest.raises(RecordingError, match="which has only 200 frames"):
-        write(tmp_path / "c", [robot_clip(0, video=film, video_start_s=7.0)], videos="link")
-    with pytest.raises(RecordingError, match="no such video"):
-        write(tmp_path / "d", [robot_clip(0, video=tmp_path / "none.mp4")], videos="link")
+    ):
+        with pytest.raises(RecordingError, match=said):
+            write(tmp_path / str(number), clips, videos="link", **options)
 
 
 def test_damaged_videos_are_refused(tmp_path):
-    """One that is cut off anywhere, and one with a wrong byte in its tables, unless it only says
-    something else than before: another size, rate, count or codec."""
+    """One that is cut off anywhere, and one whose tables have a wrong length or name."""
     whole = mp4(tmp_path / "film.mp4").read_bytes()
     path, head = tmp_path / "damaged.mp4", video_head(tmp_path / "film.mp4")
 
@@ -285,32 +282,15 @@ def test_damaged_videos_are_refused(tmp_path):
     assert [read(whole[:cut]) for cut in range(len(whole))] == [None] * len(whole)
     tables = (b"moov", b"trak", b"mdia", b"mdhd", b"hdlr", b"minf", b"stbl", b"stsd", b"stts")
     lengths_and_names = {whole.index(name) + i for name in tables for i in range(-4, 4)}
-    kind = {whole.index(b"vide") + i for i in range(4)}
-    meanings = {
-        whole.index(table) + at + i: name
-        for table, at, size, name in (
-            (b"mdhd", 16, 4, "rate"),
-            (b"avc1", 0, 4, "codec"),
-            (b"avc1", 28, 2, "width"),
-            (b"avc1", 30, 2, "height"),
-            (b"stts", 12, 4, "frames"),
-            (b"stts", 16, 4, "rate"),
-        )
-        for i in range(size)
-    }
     for at in range(len(whole)):
         data = bytearray(whole)
         data[at] ^= 0xFF
         other = read(data)
-        if at in lengths_and_names | kind:
+        if at in lengths_and_names:
             assert other is None, at
-        elif at in meanings:
-            assert other is not None, at
-            name = meanings[at]
-            assert getattr(other, name) != getattr(head, name), at
-            assert replace(other, **{name: getattr(head, name)}) == head, at
-        else:
-            assert other in (None, head), at
+        elif other is not None:  # of another size, rate, count or codec: one of them at most
+            fields = ("width", "height", "rate", "frames", "codec")
+            assert sum(getattr(other, name) != getattr(head, name) for name in fields) <= 1, at
 
 
 def film(path: Path, frames: int, rate: str) -> Path:
@@ -381,39 +361,3 @@ def test_lerobot_shows_the_picture_of_each_frame(rate, tmp_path):
         assert seen.shape == (3, 48, 64)
         # Colours lose a little on their way through the codec, less than the step of two frames.
         assert abs(float(seen.mean()) * 255 - (20 + 2 * picture)) < 1.9
-
-
-@pytest.mark.lerobot
-@real
-def test_a_small_policy_learns_from_it(tmp_path):
-    write(tmp_path / "out", [robot_clip(i, frames=50) for i in range(8)])
-    import torch
-
-    torch.manual_seed(0)
-    dataset = load(tmp_path / "out", delta_timestamps={"action": [k / 30 for k in range(4)]})
-    stats = {
-        key: {name: torch.tensor(dataset.meta.stats[key][name]).float() for name in ("mean", "std")}
-        for key in ("observation.state", "action")
-    }
-
-    def normal(batch: Any, key: str) -> Any:
-        return (batch[key] - stats[key]["mean"]) / (stats[key]["std"] + 1e-6)
-
-    size = len(NAMES)
-    policy = torch.nn.Sequential(
-        torch.nn.Linear(size, 128), torch.nn.ReLU(), torch.nn.Linear(128, 4 * size)
-    )
-    optimizer = torch.optim.Adam(policy.parameters(), lr=3e-3)
-    loader = torch.utils.data.DataLoader(dataset, batch_size=40, shuffle=True)
-    losses = []
-    for _ in range(8):
-        for batch in loader:
-            known = batch["right_valid"] & batch["left_valid"]
-            wanted = normal(batch, "action")[known].flatten(1)
-            loss = (policy(normal(batch, "observation.state")[known]) - wanted).square().mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            losses.append(loss.item())
-    assert losses[0] > 0.5  # of normalised actions, about 1 before it learns
-    assert np.mean(losses[-5:]) < 0.1 * losses[0]

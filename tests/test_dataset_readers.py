@@ -10,7 +10,7 @@ import dataset_files as files
 import numpy as np
 import pytest
 
-from smooth_operator import method_config, plugins
+from smooth_operator import method_config, plugins, read_recording
 from smooth_operator.datasets import retargeting
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.writers.registry import WRITERS
@@ -133,6 +133,23 @@ def test_egodex_is_distinguished_from_other_hdf5(tmp_path, version):
         assert reader.matches(path) is found
     (tmp_path / "a.hdf5").write_bytes(b"transforms\0")
     assert not reader.matches(tmp_path / "a.hdf5")
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_one_hand_of_egodex_is_a_recording(tmp_path, side):
+    pytest.importorskip("h5py", reason="needs the extra hdf5")
+    files.egodex_file(tmp_path / "0.hdf5")
+    read = read_recording(tmp_path / "0.hdf5", rate=30, side=side)
+    sent = files.hand(side)
+    np.testing.assert_allclose(read.landmarks, sent.points, atol=1e-6)
+    assert separation(read.T_world_wrist, sent.wrist).max() < 1e-3
+    axes = wrist_from_landmarks(read.landmarks, side)
+    assert separation(read.T_world_wrist, axes)[:, 1].max() < 0.06
+    np.testing.assert_allclose(read.forearm, np.tile([1.0, 0.0, 0.0], (len(read), 1)), atol=1e-3)
+    assert (read.world, read.meta["format"]) == ("egodex", "egodex")
+    assert read.metacarpals is not None
+    with pytest.raises(RecordingError, match="rate"):
+        read_recording(tmp_path / "0.hdf5", side="left")
 
 
 def test_tracking_streamer_gives_both_hands_on_common_stamps(tmp_path):

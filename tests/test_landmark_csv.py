@@ -64,18 +64,12 @@ def aria_table(space: str = "", lost: dict[Side, int] | None = None) -> list[lis
 
 
 def plain_table(sides: tuple[Side, ...] = (), stamped: bool = True) -> list[list[str]]:
-    rows = [
-        [
-            *(["timestamp"] if stamped else []),
-            *(["side"] if sides else []),
-            *(f"{name}_{axis}" for name in LANDMARKS for axis in "xyz"),
-        ]
-    ]
+    header = ["timestamp"] * stamped + ["side"] * bool(sides)
+    rows = [[*header, *(f"{name}_{axis}" for name in LANDMARKS for axis in "xyz")]]
     for k in range(COUNT):
         for side in sides or ("right",):
-            numbers = [f"{v:.6f}" for v in HANDS[side][k].ravel()]
-            start = [f"{STAMPS[k]:.6f}"] if stamped else []
-            rows.append([*start, *([side] if sides else []), *numbers])
+            start = [f"{STAMPS[k]:.6f}"] * stamped + [side] * bool(sides)
+            rows.append([*start, *(f"{v:.6f}" for v in HANDS[side][k].ravel())])
     return rows
 
 
@@ -115,15 +109,11 @@ def test_an_aria_table_is_a_clip_of_both_hands(tmp_path):
 
 
 def test_a_plain_table_of_one_hand(tmp_path):
-    path = saved(tmp_path, plain_table())
-    recording = read_recording(path)
+    recording = read_recording(saved(tmp_path, plain_table()))
     np.testing.assert_allclose(recording.landmarks, HANDS["right"], atol=1e-6)
     np.testing.assert_allclose(recording.stamps, STAMPS, atol=1e-6)
     assert recording.meta["side_assumed"]
     assert recording.meta["format"] == "landmark_csv"
-
-
-def test_a_plain_table_without_stamps_needs_a_rate(tmp_path):
     path = saved(tmp_path, plain_table(stamped=False))
     with pytest.raises(RecordingError, match="--rate"):
         read_recording(path)
@@ -166,10 +156,7 @@ def changed(rows: list[list[str]], row: int, column: int, text: str) -> list[lis
         (changed(aria_table(), 0, 3, "x"), "no column ty_left_landmark_0_device"),
         ([aria_table()[0]], "no hand with a confidence above 0"),
         (
-            [
-                [v if k < 1 else "0" for k, v in enumerate(row)] if n else row
-                for n, row in enumerate(aria_table())
-            ],
+            [aria_table()[0], *([row[0], *["0"] * 142] for row in aria_table()[1:])],
             "no hand with a confidence above 0",
         ),
     ],
@@ -197,5 +184,5 @@ def test_a_table_of_other_data_in_a_folder_is_no_recording(tmp_path):
 def test_damaged_files_raise_only_errors_of_this_program(tmp_path):
     for good in (plain_table()[:4], aria_table()[:4]):
         mutants = fuzzing.damaged_bytes(saved(tmp_path, good).read_bytes())
-        refused, _ = fuzzing.outcomes(mutants, 100, fuzzing.recording_at(tmp_path / "hand.csv"))
-        assert len(refused) > 15
+        refused, _ = fuzzing.outcomes(mutants, 40, fuzzing.recording_at(tmp_path / "hand.csv"))
+        assert len(refused) > 5

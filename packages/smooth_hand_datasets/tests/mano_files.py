@@ -21,23 +21,8 @@ TIPS = {
     ("manopth", "right"): (745, 317, 444, 556, 673),
     ("manopth", "left"): (745, 317, 445, 556, 673),
 }
-PARENT = {
-    1: 0,
-    2: 1,
-    3: 2,
-    4: 0,
-    5: 4,
-    6: 5,
-    7: 0,
-    8: 7,
-    9: 8,
-    10: 0,
-    11: 10,
-    12: 11,
-    13: 0,
-    14: 13,
-    15: 14,
-}
+PARENT = {1: 0, 2: 1, 3: 2, 4: 0, 5: 4, 6: 5, 7: 0, 8: 7, 9: 8, 10: 0, 11: 10, 12: 11}
+PARENT |= {13: 0, 14: 13, 15: 14}
 # Our landmark -> the joint, or the number of the tip, in MANO's order of joints and tips.
 ORDER = (0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20)
 
@@ -273,6 +258,12 @@ class Pickled:
         self.put(False).put(np.ascontiguousarray(array).tobytes()).raw(b"tb")
 
 
+def _reconstructed(out: Pickled, module: str, name: str) -> None:
+    """An object as ``copy_reg`` writes it; its state follows."""
+    out.glob("copy_reg", "_reconstructor").raw(b"(").glob(module, name)
+    out.glob("__builtin__", "object").put(None).raw(b"tR")
+
+
 class Ch:
     """``chumpy.ch.Ch``, an array."""
 
@@ -280,8 +271,7 @@ class Ch:
         self.x = array
 
     def pickle_into(self, out: Pickled) -> None:
-        out.glob("copy_reg", "_reconstructor").raw(b"(").glob("chumpy.ch", "Ch")
-        out.glob("__builtin__", "object").put(None).raw(b"tR")
+        _reconstructed(out, "chumpy.ch", "Ch")
         out.raw(b"}(").put(b"_dirty_vars").glob("__builtin__", "set").put(([],)).raw(b"R")
         out.put(b"_itr").put(None).put(b"x").put(self.x).raw(b"ub")
 
@@ -290,39 +280,30 @@ class Select(Ch):
     """``chumpy.reordering.Select``: some numbers of an array, in a shape."""
 
     def __init__(self, a: Ch, idxs: np.ndarray, shape: tuple[int, ...]) -> None:
-        self.a, self.idxs, self.shape = a, idxs, shape
+        self.state = {b"preferred_shape": shape, b"a": a, b"idxs": idxs}
 
     def pickle_into(self, out: Pickled) -> None:
-        out.glob("copy_reg", "_reconstructor").raw(b"(").glob("chumpy.reordering", "Select")
-        out.glob("__builtin__", "object").put(None).raw(b"tR")
-        out.raw(b"}(").put(b"preferred_shape").put(self.shape).put(b"a").put(self.a)
-        out.put(b"idxs").put(self.idxs).raw(b"ub")
+        _reconstructed(out, "chumpy.reordering", "Select")
+        out.put(self.state).raw(b"b")
 
 
 class Csc:
     """``scipy.sparse.csc.csc_matrix``."""
 
     def __init__(self, dense: np.ndarray) -> None:
-        self.dense = dense
+        columns, rows = np.nonzero(dense.T)
+        ends = np.searchsorted(columns, np.arange(dense.shape[1] + 1))
+        self.state = {
+            b"_shape": dense.shape,
+            b"maxprint": 50,
+            b"data": dense[rows, columns],
+            b"indices": rows.astype(np.int32),
+            b"indptr": ends.astype(np.int32),
+        }
 
     def pickle_into(self, out: Pickled) -> None:
-        data, indices, ends = [], [], [0]
-        for column in self.dense.T:
-            rows = np.flatnonzero(column)
-            data += list(column[rows])
-            indices += list(rows)
-            ends.append(len(data))
-        out.glob("copy_reg", "_reconstructor").raw(b"(").glob("scipy.sparse.csc", "csc_matrix")
-        out.glob("__builtin__", "object").put(None).raw(b"tR")
-        out.put(
-            {
-                b"_shape": self.dense.shape,
-                b"maxprint": 50,
-                b"data": np.array(data),
-                b"indices": np.array(indices, np.int32),
-                b"indptr": np.array(ends, np.int32),
-            }
-        ).raw(b"b")
+        _reconstructed(out, "scipy.sparse.csc", "csc_matrix")
+        out.put(self.state).raw(b"b")
 
 
 class Tensor:
@@ -336,18 +317,12 @@ class Tensor:
         count = self.array.size
         identifier = Pickled().raw(b"(").put("storage").glob("torch", "FloatStorage")
         identifier.put("94317").put("cpu").put(count).put(None).raw(b"tQ")
+        sizes = {"short": 2, "int": 4, "long": 4}
+        about = {"protocol_version": 1001, "little_endian": True, "type_sizes": sizes}
         parts = [
             Pickled().put(0x1950A86A20F9469CFC6C).done(),
             Pickled().put(1001).done(),
-            Pickled()
-            .put(
-                {
-                    "protocol_version": 1001,
-                    "little_endian": True,
-                    "type_sizes": {"short": 2, "int": 4, "long": 4},
-                }
-            )
-            .done(),
+            Pickled().put(about).done(),
             identifier.done(),
             Pickled().put(["94317"]).done(),
             struct.pack("<q", count),

@@ -79,6 +79,19 @@ def expected(
     return found
 
 
+def landmarks_of(
+    arrays: dict[str, Any], pose: dict[str, Any], betas: np.ndarray, turn: Any = None
+) -> dict[str, dict[int, np.ndarray]]:
+    """Landmarks of both hands with other models, poses and shapes than those of ``expected``."""
+
+    def points(side: str, frame: int) -> np.ndarray:
+        root, at = MOTION[side][1][frame], PLACE[side][frame]
+        found = reference_landmarks(arrays[side], side, root, pose[side][frame], betas, at)
+        return found if turn is None else found @ turn.T
+
+    return {side: {frame: points(side, frame) for frame in JUDGED} for side in SIDES}
+
+
 @functools.cache
 def _reference(side: str, frame: int, tips: str, about_wrist: bool, whose: str) -> np.ndarray:
     pose, root = MOTION[side]
@@ -358,18 +371,10 @@ def grab(folder: Path) -> Made:
         arrays[side] = {**ARRAYS[side], "v_template": template}
         few[side] = c @ ARRAYS[side]["hands_components"][:24]
         lines = [" ".join(repr(float(v)) for v in row) for row in template]
-        head = (
-            "ply",
-            "format ascii 1.0",
-            f"element vertex {len(lines)}",
-            "property double x",
-            "property double y",
-            "property double z",
-            "element face 1",
-            "property list uchar int vertex_indices",
-            "end_header",
-        )
-        (meshes / f"s1_{key}.ply").write_text("\n".join((*head, *lines, "3 0 1 2")) + "\n")
+        head = f"ply\nformat ascii 1.0\nelement vertex {len(lines)}\n"
+        head += "".join(f"property double {axis}\n" for axis in "xyz")
+        head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        (meshes / f"s1_{key}.ply").write_text(head + "\n".join((*lines, "3 0 1 2")) + "\n")
         held[key] = {
             "params": {
                 "global_orient": root,
@@ -396,23 +401,10 @@ def grab(folder: Path) -> Made:
         body={"params": {}},
         contact={"body": np.zeros(3)},
     )  # type: ignore[arg-type]
-    landmarks: dict[str, dict[int, np.ndarray]] = {}
-    for side in SIDES:
-        landmarks[side] = {
-            frame: reference_landmarks(
-                arrays[side],
-                side,
-                MOTION[side][1][frame],
-                few[side][frame],
-                np.zeros(10),
-                PLACE[side][frame],
-            )
-            for frame in JUDGED
-        }
     return Made(
         path,
         [path, meshes / "s1_rhand.ply"],
-        landmarks,
+        landmarks_of(arrays, few, np.zeros(10)),
         {"mug": _object()},
         None,
         np.arange(FRAMES) / 120.0,
@@ -470,24 +462,10 @@ def hot3d(folder: Path, headset: str = "Aria") -> Made:
     (assets / "instance.json").write_text(json.dumps({uid: {"instance_name": "mug_white"}}))
     (assets / f"{uid}.glb").write_bytes(b"x")
     turn = np.eye(3) if headset == "Aria" else np.array([[0, 0, -1.0], [-1, 0, 0], [0, 1, 0]])
-    landmarks: dict[str, dict[int, np.ndarray]] = {}
-    for side in SIDES:
-        landmarks[side] = {
-            frame: reference_landmarks(
-                mended[side],
-                side,
-                MOTION[side][1][frame],
-                few[side][frame],
-                BETAS["right"],
-                PLACE[side][frame],
-            )
-            @ turn.T
-            for frame in JUDGED
-        }
     return Made(
         sequence,
         [hands_file, table, about],
-        landmarks,
+        landmarks_of(mended, few, BETAS["right"], turn),
         {"mug_white": homogeneous(turn, np.zeros(3)) @ _object()},
         None,
         np.arange(FRAMES) * 33_333_333 / 1e9,

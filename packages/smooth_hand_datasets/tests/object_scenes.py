@@ -63,7 +63,7 @@ def pinch_clip(
     solid = Solid(
         Box(np.array([half, 1.2 * half, 2.2 * half]))
         if form == "box"
-        else Cylinder(half, 2.2 * half)
+        else Cylinder(half, 5.0 * half)
     )
     middle = 0.5 * (grip[0] + grip[1]) + opening[:, None] * _AWAY_M
     frame = np.tile(poses.quaternions(np.stack([x, np.cross(z, x), z], axis=-1)), (len(stamps), 1))

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import dataset_files as files
+import hostile_datasets
 import numpy as np
 import pytest
 from test_dataset_readers import COUNT, check_camera, clip_of, layout_of
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import ReadingOptions
-
-Write = Callable[[Path], Any]
 
 
 def by_name(frames: list[Any]) -> dict[str, Any]:
@@ -31,58 +30,44 @@ def flat(frames: list[Any]) -> list[Any]:
 
 
 LOST = {"left": range(4, 6)}
+RIGHT_FIRST = {"left": [0, 1, 2, 3, 4]}
 
-FORMS: dict[str, tuple[str, Write, dict[str, list[int]]]] = {
-    "WiLoR-mini, pickled": (
-        "a.pkl",
-        lambda path: path.write_bytes(files.pickled(files.wilor_frames(lost=LOST))),
-        {"left": [4, 5]},
-    ),
-    "WiLoR-mini, by picture": (
-        "a.pkl",
-        lambda path: path.write_bytes(files.pickled(by_name(files.wilor_frames()))),
-        {},
-    ),
-    "WiLoR-mini, numpy.save": (
-        "a.npy",
-        lambda path: np.save(path, np.array(by_name(files.wilor_frames()), object)),
-        {},
-    ),
-    "WiLoR-mini, JSON": (
-        "a.json",
-        lambda path: path.write_text(json.dumps(files.plain(files.wilor_frames(lost=LOST)))),
-        {"left": [4, 5]},
-    ),
-    "a table a hand": (
-        "a.json",
-        lambda path: path.write_text(json.dumps(files.plain(flat(files.wilor_frames())))),
-        {},
-    ),
-    "EgoTouch": (
-        "wilor_hands.json",
-        lambda path: path.write_text(files.egotouch_lines()),
-        {"left": [4]},
-    ),
-    "Data-Juicer": (
-        "a.json",
-        lambda path: path.write_text(json.dumps(files.hawor_tags())),
-        {"left": [0, 1, 2, 3, 4]},
-    ),
-    "HaMeR": ("v3d.npy", lambda path: np.save(path, np.array(files.hamer_arrays(), object)), {}),
-    "arrays of hands": ("a.npz", lambda path: path.write_bytes(files.detections_npz()), {}),
+FORMS: dict[str, tuple[str, Callable[[], Any], dict[str, list[int]]]] = {
+    "WiLoR-mini, pickled": ("a.pkl", lambda: files.wilor_frames(lost=LOST), {"left": [4, 5]}),
+    "WiLoR-mini, by picture": ("a.pkl", lambda: by_name(files.wilor_frames()), {}),
+    "WiLoR-mini, numpy.save": ("a.npy", lambda: by_name(files.wilor_frames()), {}),
+    "WiLoR-mini, JSON": ("a.json", lambda: files.wilor_frames(lost=LOST), {"left": [4, 5]}),
+    "a table a hand": ("a.json", lambda: flat(files.wilor_frames()), {}),
+    "EgoTouch": ("wilor_hands.json", files.egotouch_lines, {"left": [4]}),
+    "Data-Juicer": ("a.json", files.hawor_tags, RIGHT_FIRST),
+    "HaMeR": ("v3d.npy", files.hamer_arrays, {}),
+    "arrays of hands": ("a.npz", files.detections_npz, {}),
 }
+
+
+def save(path: Path, value: Any) -> Path:
+    """Writes what a model gives, in the form of the suffix."""
+    if isinstance(value, str | bytes):
+        path.write_bytes(value if isinstance(value, bytes) else value.encode())
+    elif path.suffix == ".npy":
+        np.save(path, np.array(value, object))
+    elif path.suffix == ".json":
+        path.write_text(json.dumps(files.plain(value)))
+    else:
+        path.write_bytes(pickle.dumps(value))
+    return path
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_forms(tmp_path, form):
-    name, write, gone = FORMS[form]
-    write(tmp_path / name)
-    assert layout_of(tmp_path / name) == "predictions"
-    found = clip_of(tmp_path / name)
+    name, make, gone = FORMS[form]
+    path = save(tmp_path / name, make())
+    assert layout_of(path) == "predictions"
+    found = clip_of(path)
     check_camera(found, gone, 1e-5)
     np.testing.assert_allclose(found.stamps, np.arange(COUNT) / 30.0)
     with pytest.raises(RecordingError, match="--rate"):
-        clip_of(tmp_path / name, ReadingOptions())
+        clip_of(path, ReadingOptions())
 
 
 def test_video_and_confidence(tmp_path):
@@ -92,7 +77,7 @@ def test_video_and_confidence(tmp_path):
     frames[3].append({**frames[7][0], "hand_bbox": [1.0, 2.0, 3.0, 4.0, 0.1]})  # another person
     frames[9] = []
     frames[10].append({"hand_bbox": [0.0] * 4, "is_right": 1.0})  # found, and no more of it
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(frames))
+    save(tmp_path / "a.pkl", frames)
     (tmp_path / "a.mp4").write_bytes(b"a video")
     found = clip_of(tmp_path / "a.pkl")
     check_camera(found, {"right": [9], "left": [9]}, 1e-5)
@@ -108,7 +93,7 @@ def test_hands_without_a_place_have_no_wrist(tmp_path):
     for frame in frames:
         for hand in frame:
             del hand["wilor_preds"]["pred_cam_t_full"]
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(frames))
+    save(tmp_path / "a.pkl", frames)
     found = clip_of(tmp_path / "a.pkl")
     assert found.world is None
     assert all(hand.T_world_wrist is None for hand in found.hands.values())
@@ -118,7 +103,7 @@ def test_a_frame_with_the_wrong_side_is_ignored(tmp_path):
     frames = files.wilor_frames()
     for hand in frames[12]:
         hand["is_right"] = 1.0 - hand["is_right"]
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(frames))
+    save(tmp_path / "a.pkl", frames)
     found = clip_of(tmp_path / "a.pkl")
     check_camera(found, {"right": [12], "left": [12]}, 1e-5)
     assert all(hand.meta["other_side_frames"] == 1 for hand in found.hands.values())
@@ -129,7 +114,7 @@ def test_mirrored_hands_are_refused(tmp_path):
     frames = files.wilor_frames()
     for frame in frames:
         frame[1]["wilor_preds"]["pred_keypoints_3d"] *= np.float32([-1, 1, 1])
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(frames))
+    save(tmp_path / "a.pkl", frames)
     with pytest.raises(
         RecordingError, match=r"left hand: judging by its shape, this is a right hand.*\(-1"
     ):
@@ -137,10 +122,12 @@ def test_mirrored_hands_are_refused(tmp_path):
 
 
 def test_exchanged_hands_are_refused(tmp_path):
-    (tmp_path / "a.pkl").write_bytes(files.pickled(files.wilor_frames(exchanged=True)))
-    (tmp_path / "wilor_hands.json").write_text(files.egotouch_lines(exchanged=True))
-    (tmp_path / "b.json").write_text(json.dumps(files.hawor_tags(exchanged=True)))
-    for name in ("a.pkl", "wilor_hands.json", "b.json"):
+    for name, value in (
+        ("a.pkl", files.wilor_frames(exchanged=True)),
+        ("wilor_hands.json", files.egotouch_lines(exchanged=True)),
+        ("b.json", files.hawor_tags(exchanged=True)),
+    ):
+        save(tmp_path / name, value)
         with pytest.raises(
             RecordingError, match="right hand: judging by its shape, this is a left hand"
         ):
@@ -177,8 +164,6 @@ def test_different_files_are_refused(tmp_path, value, said):
 def test_damaged_files_are_read_soundly_or_refused(tmp_path):
     for library in ("h5py", "pyarrow"):
         pytest.importorskip(library, reason="needs extras")
-    import hostile_datasets
-
     files = hostile_datasets.seeds(tmp_path)["predictions"]
-    outcomes = hostile_datasets.outcomes("predictions", files, tmp_path / "mutant", 3)
-    assert outcomes == {"read", "refused"}
+    found = hostile_datasets.outcomes("predictions", files, tmp_path / "mutant", 3)
+    assert found == {"read", "refused"}

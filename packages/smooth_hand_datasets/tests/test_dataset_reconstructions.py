@@ -4,10 +4,12 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import fuzzing
 import headset_apps as app
 import mano_files
 import numpy as np
 import pytest
+from hostile_datasets import outcomes
 from test_dataset_readers import clip_of
 
 from smooth_operator.errors import RecordingError
@@ -159,7 +161,11 @@ def test_different_files_of_dyn_hamr_are_refused(tmp_path, more, said):
 
 @pytest.mark.parametrize("layout", ["hawor", "dynhamr"])
 def test_damaged_files_are_read_soundly_or_refused(tmp_path, layout):
-    import hostile_datasets
-
-    files = hostile_datasets.reconstruction_seeds(tmp_path)[layout]
-    assert "refused" in hostile_datasets.outcomes(layout, files, tmp_path / "mutant", 12)
+    mano_files.write_models(tmp_path / "mano")
+    if layout == "hawor":
+        path, damaged = hawor_folder(tmp_path / "kitchen"), fuzzing.damaged_bytes
+    else:
+        path, damaged = tmp_path / "a.npz", fuzzing.damaged_npz
+        np.savez(path, **dyn_hamr_arrays())
+    files = [(path.name, path.read_bytes(), damaged)]
+    assert "refused" in outcomes(layout, files, tmp_path / "mutant", 12)

@@ -10,6 +10,7 @@ import mano_files
 import mano_layouts as layouts
 import numpy as np
 import pytest
+from hostile_datasets import read_soundly
 from hypothesis import strategies as st
 
 from smooth_operator import poses
@@ -124,34 +125,32 @@ def refused(layout: str, path: Path, models: Path) -> str:
 
 
 def test_missing_parts_are_named(tmp_path, models):
+    pickled, npy = mano_files.pickled, mano_files.npy_of_object
+    no_poses = pickled({"objName": "mug", "handJoints3D": np.zeros(3)})
+    lone_hand, meshes = pickled({"0": {"hand_pose": 1}}), "../../../tools/subject_meshes/male"
+    for number, (layout, file, content, said) in enumerate(
+        (
+            ("dexycb", "meta.yml", b"mano_sides: [right]\n", "it lacks mano_calib"),
+            ("dexycb", "../../calibration", None, "lacks calibration"),
+            ("ho3d", "meta/*", no_poses, "evaluation split has no poses"),
+            ("arctic", "", npy({"right": {}}), "it lacks left"),
+            ("oakink2", "", pickled({"raw_smplx": {}}), "it lacks raw_mano"),
+            ("taco", "right_hand.pkl", lone_hand, "it lacks hand_trans"),
+            ("grab", f"{meshes}/s1_lhand.ply", None, "extract tools/subject_meshes"),
+            ("hot3d", "metadata.json", b'{"headset": "Vision"}', "which axis is up"),
+        )
+    ):
+        made = layouts.WRITERS[layout](tmp_path / str(number))
+        paths = made.path.glob(file) if "*" in file else [(made.path / file).resolve()]
+        for path in paths:
+            if content is None:
+                path.rename(path.with_name("elsewhere"))
+            else:
+                path.write_bytes(content)
+        assert said in refused(layout, made.path, models)
     made = layouts.dexycb(tmp_path / "a")
     np.savez(made.path / "pose.npz", pose_m=np.zeros((8, 1, 51)))
     assert "lacks pose_y" in refused("dexycb", made.path, models)
-    made = layouts.dexycb(tmp_path / "b")
-    (made.path / "meta.yml").write_text("mano_sides: [right]\n")
-    assert "it lacks mano_calib" in refused("dexycb", made.path, models)
-    made = layouts.dexycb(tmp_path / "c")
-    (tmp_path / "c" / "calibration").rename(tmp_path / "c" / "elsewhere")
-    assert "lacks calibration" in refused("dexycb", made.path, models)
-    made = layouts.ho3d(tmp_path / "d")
-    for file in (made.path / "meta").iterdir():
-        file.write_bytes(mano_files.pickled({"objName": "mug", "handJoints3D": np.zeros(3)}))
-    assert "evaluation split has no poses" in refused("ho3d", made.path, models)
-    made = layouts.arctic(tmp_path / "e")
-    made.path.write_bytes(mano_files.npy_of_object({"right": {}}))
-    assert "it lacks left" in refused("arctic", made.path, models)
-    made = layouts.oakink2(tmp_path / "f")
-    made.path.write_bytes(mano_files.pickled({"raw_smplx": {}}))
-    assert "it lacks raw_mano" in refused("oakink2", made.path, models)
-    made = layouts.taco(tmp_path / "g")
-    (made.path / "right_hand.pkl").write_bytes(mano_files.pickled({"0": {"hand_pose": 1}}))
-    assert "it lacks hand_trans" in refused("taco", made.path, models)
-    made = layouts.grab(tmp_path / "h")
-    (tmp_path / "h" / "tools" / "subject_meshes" / "male" / "s1_lhand.ply").unlink()
-    assert "extract tools/subject_meshes" in refused("grab", made.path, models)
-    made = layouts.hot3d(tmp_path / "i")
-    (made.path / "metadata.json").write_text('{"headset": "Vision"}')
-    assert "which axis is up" in refused("hot3d", made.path, models)
 
 
 def changed(folder: Path, **values: Any) -> Path:
@@ -259,8 +258,8 @@ def test_hands_of_the_other_side_are_refused(tmp_path, models):
 
 @pytest.mark.parametrize("layout", layouts.WRITERS)
 def test_damaged_files_are_read_soundly_or_refused(tmp_path, models, layout):
-    (tmp_path / "mano_models").symlink_to(models)
     made = layouts.WRITERS[layout](tmp_path / "data")
+    options = ReadingOptions(mano=models)
     good = {file: file.read_bytes() for file in made.files}
     mutants = [
         st.tuples(st.just(file), hostile_mano.DAMAGED[file.suffix](content))
@@ -271,11 +270,11 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path, models, layout):
         file, content = mutant
         file.write_bytes(content)
         with contextlib.suppress(SmoothOperatorError):
-            hostile_mano.read_soundly(layout, made.path)
+            read_soundly(layout, made.path, options)
         file.write_bytes(good[file])
 
     fuzzing.each(st.one_of(*mutants), 6, read)
-    hostile_mano.read_soundly(layout, made.path)
+    read_soundly(layout, made.path, options)
 
 
 def test_an_impossible_time_is_refused(tmp_path, models):

@@ -216,13 +216,13 @@ def test_derivatives_of_the_costs_by_finite_differences():
     contacts = find_contacts(made.clip, side, made.scene)
     frames = object_frames(hand, palm, made.scene, contacts, made.clip.stamps, costs.settings)
     rng = np.random.default_rng(1)
-    picked = np.array([10, 20, 30])
+    picked = np.array([15, 20, 30])
     rows = type(frames)(*(values[picked] for values in frames))
     q = hand.neutral + 0.4 * (hand.limits[:, 1] - hand.neutral) * rng.random((3, len(hand.neutral)))
     x = np.concatenate([q, 0.3 * rng.normal(size=(3, 6))], axis=1)
     shapes = tuple(solid.shape for solid in made.scene.solids)
     _, gradient, hessian = costs.all_costs(shapes, x, rows)
-    step = 2e-3
+    step = 1e-3
     numeric = np.stack(
         [
             (
