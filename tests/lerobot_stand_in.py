@@ -4,9 +4,12 @@ Where LeRobot is installed, the plug-ins get the real one.
 """
 
 import abc
+import contextlib
 import enum
+import importlib.metadata
 import importlib.util
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -24,13 +27,34 @@ REAL = importlib.util.find_spec("lerobot") is not None
 """Whether LeRobot is installed."""
 
 
-def use_plugins(patch: pytest.MonkeyPatch) -> None:
-    """Make the plug-ins of devices importable, on LeRobot or on the stand-in."""
-    for name in (TELEOPERATOR, CAMERA, ROBOT):
-        patch.syspath_prepend(str(PACKAGES / name))
+@contextlib.contextmanager
+def plugins() -> Iterator[pytest.MonkeyPatch]:
+    """Makes the plug-ins of devices importable, on LeRobot or on the stand-in."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in (TELEOPERATOR, CAMERA, ROBOT):
+            patch.syspath_prepend(str(PACKAGES / name))
+        if not REAL:
+            for name, module in _modules().items():
+                patch.setitem(sys.modules, name, module)
+        yield patch
     if not REAL:
-        for name, module in _modules().items():
-            patch.setitem(sys.modules, name, module)
+        for name in [n for n in sys.modules if n.startswith((TELEOPERATOR, CAMERA, ROBOT))]:
+            del sys.modules[name]  # they hold the classes of a stand-in that is gone
+
+
+def needs_lerobot(*distributions: str) -> list[pytest.MarkDecorator]:
+    """Marks of tests that need LeRobot itself, and other distributions beside it."""
+    installed = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
+    lacking = sorted({"lerobot", *distributions} - installed)
+    skip = pytest.mark.skipif(bool(lacking), reason=f"not installed: {', '.join(lacking)}")
+    return [pytest.mark.lerobot, skip]
+
+
+def with_lerobot(test: Any) -> Any:
+    """Decorates a test that needs LeRobot itself."""
+    for mark in needs_lerobot():
+        test = mark(test)
+    return test
 
 
 @dataclass(kw_only=True)

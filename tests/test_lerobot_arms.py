@@ -4,7 +4,6 @@ Needs LeRobot with its extras ``feetech`` and ``kinematics``, and the teleoperat
 has a job with them (``lerobot``).
 """
 
-import importlib.metadata
 import json
 import os
 import subprocess
@@ -15,19 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_files import so101_urdf
-from lerobot_stand_in import PACKAGES, TELEOPERATOR
+from lerobot_stand_in import PACKAGES, TELEOPERATOR, needs_lerobot
 from simulators.common import SerialLine
 from simulators.feetech_bus import SYNC_WRITE, FeetechBus
 
 from smooth_operator.simulation.arms.catalogue import ARMS
 
-INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
-LACKING = {"lerobot", "feetech-servo-sdk", "placo", "mink", "daqp", TELEOPERATOR} - INSTALLED
-
-pytestmark = [
-    pytest.mark.lerobot,
-    pytest.mark.skipif(bool(LACKING), reason=f"not installed: {', '.join(sorted(LACKING))}"),
-]
+pytestmark = needs_lerobot("feetech-servo-sdk", "placo", "mink", "daqp", TELEOPERATOR)
 
 MOTORS = (*ARMS["so101"].joint_names, "gripper")
 LOW, HIGH = 500, 3500  # range of each motor, as calibrated [steps]

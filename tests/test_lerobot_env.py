@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lerobot_stand_in import ENVIRONMENT, PACKAGES, REAL
+from lerobot_stand_in import ENVIRONMENT, PACKAGES, with_lerobot
 
 from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.poses import from_rotation_vectors, multiply
 from smooth_operator.simulation.scenes import ScenePhysics
 from smooth_operator.simulation.scenes.scene import OBJECT
 from smooth_operator.simulation.tasks import TASKS
@@ -91,13 +92,13 @@ def test_targets_move_linearly_from_one_action_to_the_next(make, monkeypatch):
         ScenePhysics, "command", lambda self, joints: targets.append(np.array(joints))
     )
     hand = environment.hand
-    low, high = hand.limits.T
-    environment.step((low + high) / 2)
+    middle = hand.limits.mean(axis=1)
+    environment.step(middle)
     ways = np.array(targets)[:, list(hand.actuated)]
     assert len(ways) == 4
-    np.testing.assert_allclose(ways[-1], (low + high) / 2, atol=1e-6)
+    np.testing.assert_allclose(ways[-1], middle, atol=1e-6)
     np.testing.assert_allclose(np.diff([hand.neutral, *ways], 2, axis=0), 0.0, atol=1e-6)
-    environment.step(np.full(len(low), np.nan))  # the targets stay
+    environment.step(np.full(len(middle), np.nan))  # the targets stay
     np.testing.assert_allclose(targets[-1][list(hand.actuated)], ways[-1], atol=1e-6)
 
 
@@ -156,18 +157,12 @@ def test_a_goal_that_is_met_is_a_success(make):
     physics: ScenePhysics = environment._physics
     rest = physics.positions[list(environment.hand.actuated)].astype(np.float32)
     address = physics.model.joint(OBJECT).qposadr[0]
-    turned = np.cos(np.pi / 4), np.sin(np.pi / 4)
+    turn = from_rotation_vectors(np.array([0.0, 0.0, np.pi / 2]))  # about the world's z
     results = []
     for step in range(50):
         if step == 5:
-            w, x, y, z = physics.data.qpos[address + 3 : address + 7]
-            c, s = turned  # about the world's z
-            physics.data.qpos[address + 3 : address + 7] = (
-                c * w - s * z,
-                c * x - s * y,
-                c * y + s * x,
-                c * z + s * w,
-            )
+            seen = physics.data.qpos[address + 3 : address + 7]
+            seen[:] = multiply(turn, seen)
         results.append(environment.step(rest))
         if results[-1][2]:
             break
@@ -212,8 +207,7 @@ def _move_object(environment: Any, by: tuple[float, float, float]) -> None:
     physics.data.qpos[address : address + 3] += by
 
 
-@pytest.mark.lerobot
-@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+@with_lerobot
 def test_env_hub_loads_the_tasks_from_a_repository(tmp_path, monkeypatch):
     """From the cache of the Hub, in which the file lies as after a download."""
     from lerobot.envs import make_env

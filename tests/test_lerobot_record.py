@@ -3,7 +3,6 @@
 Needs LeRobot and both plug-ins installed; CI has a job with them (``lerobot``).
 """
 
-import importlib.metadata
 import os
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
-from lerobot_stand_in import REAL, ROBOT, TELEOPERATOR
+from lerobot_stand_in import ROBOT, TELEOPERATOR, needs_lerobot
 from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
@@ -22,15 +21,7 @@ from smooth_operator.poses import separation
 from smooth_operator.teleop import read_log
 from smooth_operator.teleop.arm.settings import read_arm
 
-INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
-LACKING = {"lerobot", "mink", "daqp", TELEOPERATOR, ROBOT} - INSTALLED
-
-pytestmark = [
-    pytest.mark.lerobot,
-    pytest.mark.skipif(
-        not REAL or bool(LACKING), reason=f"not installed: {', '.join(sorted(LACKING))}"
-    ),
-]
+pytestmark = needs_lerobot("mink", "daqp", TELEOPERATOR, ROBOT)
 
 FPS, SECONDS, EPISODES = 30, 3.0, 3
 ADDRESS = f"tcp://127.0.0.1:{free_port()}"
@@ -49,36 +40,19 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     # A machine that stands still for a moment must not turn into held actions: they are tested
     # elsewhere, and here each action must be a command that was sent.
-    source = "synthetic:wrist=0.015"
-    teleop = ["teleop", "--source", source, "--hand", "mimic_p050", "--method", "joint_angle"]
-    teleop += [
-        "--sink",
-        f"zmq:{ADDRESS},valid_for_s=10",
-        "mujoco",
-        f"record:{folder / 'take.mcap'}",
-    ]
-    record = {
-        "robot.type": "smooth_hand",
-        "robot.hand": "mimic_p050",
-        "robot.keys": "all",
-        "robot.wrist": "quaternion",
-        "robot.arm": "panda",
-        "robot.tactile": "newtons",
-        "teleop.type": "smooth_operator",
-        "teleop.address": ADDRESS,
-        "teleop.wrist": "quaternion",
-        "teleop.timeout_s": 120,
-        "dataset.repo_id": "test/hand",
-        "dataset.root": folder / "dataset",
-        "dataset.episode_time_s": SECONDS,
-        "dataset.reset_time_s": 1,
-        "dataset.fps": FPS,
-        "dataset.single_task": TASK,
-        "dataset.push_to_hub": "false",
-        "dataset.video": "false",
-        "play_sounds": "false",
-    }
-    options = [f"--{name}={value}" for name, value in record.items()]
+    teleop = (
+        "teleop --source synthetic:wrist=0.015 --hand mimic_p050 --method joint_angle --no-view"
+        f" --sink zmq:{ADDRESS},valid_for_s=10 mujoco record:take.mcap"
+    ).split()
+    options = (
+        "--robot.type=smooth_hand --robot.hand=mimic_p050 --robot.keys=all"
+        " --robot.wrist=quaternion --robot.arm=panda --robot.tactile=newtons"
+        f" --teleop.type=smooth_operator --teleop.address={ADDRESS} --teleop.wrist=quaternion"
+        " --teleop.timeout_s=120 --dataset.repo_id=test/hand --dataset.root=dataset"
+        f" --dataset.episode_time_s={SECONDS} --dataset.reset_time_s=1 --dataset.fps={FPS}"
+        " --dataset.push_to_hub=false --dataset.video=false --play_sounds=false"
+    ).split()
+    options.append(f"--dataset.single_task={TASK}")
 
     def run(*more: str) -> str:
         """Run the program; returns its error, empty if there was none."""
@@ -93,7 +67,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return done.stderr[-4000:] if done.returncode else ""
 
     with subprocess.Popen(
-        [sys.executable, "-m", "smooth_operator", *teleop, "--no-view"],
+        [sys.executable, "-m", "smooth_operator", *teleop],
         env=environment,
         cwd=folder,
         stdout=subprocess.PIPE,
@@ -110,18 +84,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def load(root: Path, name: str = "test/hand") -> Any:
     """A dataset as LeRobot's own class opens it."""
     os.environ["HF_HUB_OFFLINE"] = "1"
-    try:
-        from lerobot.datasets import LeRobotDataset
-    except ImportError:  # 0.4
-        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.datasets import LeRobotDataset
+
     return LeRobotDataset(name, root=root)
-
-
-def dataset_to_policy_features(features: Any) -> Any:
-    """The inputs and outputs that a policy takes by default, as LeRobot's own function says."""
-    from lerobot.utils import feature_utils
-
-    return feature_utils.dataset_to_policy_features(features)
 
 
 def table(dataset: Any, column: str) -> np.ndarray:
@@ -249,7 +214,9 @@ def test_the_human_hand_is_kept_and_drives_another_hand(recorded):
         feature = dataset.features[name]
         assert (feature["dtype"], tuple(feature["shape"])) == (dtype, shape)
         assert np.isfinite(dataset.meta.stats[name]["mean"]).all()
-    assert not set(HUMAN) & set(dataset_to_policy_features(dataset.features))
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    assert not set(HUMAN) & set(dataset_to_policy_features(dataset.features))  # no policy input
     valid = table(dataset, "right_landmarks_valid").all(axis=1)
     assert valid.mean() > 0.9
     seen = take.recording.landmarks.reshape(len(take.recording), -1)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
 from free_port import free_port
-from lerobot_stand_in import CAMERA, REAL, ROBOT, use_plugins
+from lerobot_stand_in import ROBOT, plugins
 from live_time import PATIENCE_S
 
 from smooth_operator import Hand, load_hand
@@ -20,14 +20,12 @@ from smooth_operator.signals import ENDING
 
 
 @pytest.fixture
-def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
-    use_plugins(monkeypatch)
-    import lerobot_robot_smooth_hand as package
-    from lerobot.utils import errors
+def plugin() -> Iterator[SimpleNamespace]:
+    with plugins():
+        import lerobot_robot_smooth_hand as package
+        from lerobot.utils import errors
 
-    yield SimpleNamespace(package=package, errors=errors)
-    for name in [n for n in sys.modules if n.startswith((CAMERA, ROBOT)) and not REAL]:
-        del sys.modules[name]  # they hold the classes of a stand-in that is gone
+        yield SimpleNamespace(package=package, errors=errors)
 
 
 @pytest.fixture
@@ -79,8 +77,8 @@ def test_the_wrist_joints_of_a_hand_have_keys_unless_an_arm_follows_the_wrist(ro
     own = robot(hand="orca_v2")
     assert list(own.action_features) == [*fingers, "right_wrist.pos"]
     assert list(own.observation_features) == [*fingers, "right_wrist.pos"]
-    assert "right_wrist.pos" not in robot(hand="orca_v2", wrist="quaternion").action_features
-    assert "right_wrist.pos" not in robot(hand="orca_v2", wrist_joints=False).action_features
+    for off in ({"wrist": "quaternion"}, {"wrist_joints": False}):
+        assert "right_wrist.pos" not in robot(hand="orca_v2", **off).action_features
 
 
 def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(robot, plugin):
@@ -209,10 +207,10 @@ def test_both_hands_have_keys_of_their_own_and_joints_may_be_chosen(robot):
     assert list(device.action_features) == ["right_index.pos", "left_index.pos"]
     device.connect()
     go(device, {"right_index.pos": 60.0, "left_index.pos": 10.0}, near=3.0)
-    names = load_hand("mimic_p050").joint_names
-    other = device._sinks[0].state("right").positions[names.index("middle_mcp2pp")]
-    neutral = load_hand("mimic_p050").full_configuration(load_hand("mimic_p050").neutral)
-    assert abs(other - neutral[names.index("middle_mcp2pp")]) < 0.1
+    hand = load_hand("mimic_p050")
+    other = hand.joint_names.index("middle_mcp2pp")
+    measured = device._sinks[0].state("right").positions[other]
+    assert abs(measured - hand.full_configuration(hand.neutral)[other]) < 0.1
 
 
 def test_a_driver_is_moved_and_its_currents_observed(robot, fake, plugin):
@@ -222,10 +220,8 @@ def test_a_driver_is_moved_and_its_currents_observed(robot, fake, plugin):
     assert list(device.observation_features)[-len(currents) :] == currents
     device.connect()
     assert set(device.get_observation()) == set(device.observation_features)
-    near = dict.fromkeys(device.action_features, 20.0)
-    inside = np.degrees(hand.limits)
-    for key, (low, high) in zip(near, inside, strict=True):
-        near[key] = float(np.clip(20.0, max(low, -60.0), min(high, 60.0)))
+    low, high = np.clip(np.degrees(hand.limits), -60.0, 60.0).T
+    near = dict(zip(device.action_features, np.clip(20.0, low, high).tolist(), strict=True))
     go(device, near, near=1.0)
     motors: FakeHand = fake.made[-1]
     assert motors.count("write") > 5
@@ -262,8 +258,7 @@ def test_joints_that_are_not_measured_are_refused_or_observed_as_commanded(
 
 def test_a_wrist_goes_to_the_sinks_within_its_limits(robot, plugin, monkeypatch):
     seen: list[Any] = []
-    tail = ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6")
-    keys = [f"tcp.{name}" for name in tail]
+    keys = [f"tcp.{name}" for name in ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6")]
     device = robot(joints={"index_mcp2pp": "index"}, wrist="rotation_6d")
     assert list(device.action_features) == ["index.pos", *keys]
     assert list(device.observation_features) == ["index.pos"]
@@ -375,8 +370,7 @@ def test_a_wrong_setting_is_refused(robot, settings, message):
 
 
 def test_a_sink_that_measures_nothing_is_refused(robot, plugin, monkeypatch):
-    port = sys.modules[f"{ROBOT}.hand_port"]
-    monkeypatch.setattr(port, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(sys.modules[f"{ROBOT}.hand_port"], "_PATIENCE_S", 0.05)
     device = robot(sinks=[f"zmq:tcp://127.0.0.1:{free_port()}"])
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="name mujoco or a driver"):
         device.connect()

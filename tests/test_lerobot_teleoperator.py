@@ -1,6 +1,8 @@
 """The LeRobot teleoperator: keys and units, commands that stop, come late or come back."""
 
+import contextlib
 import importlib
+import itertools
 import json
 import math
 import sys
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
-from lerobot_stand_in import REAL, TELEOPERATOR, use_plugins
+from lerobot_stand_in import REAL, TELEOPERATOR, plugins, with_lerobot
 from live_time import PATIENCE_S
 from ticks import make_tick
 
@@ -35,45 +37,37 @@ pytest.importorskip("zmq")
 
 
 @pytest.fixture
-def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
-    use_plugins(monkeypatch)
-    import lerobot_teleoperator_smooth_operator as package
-    from lerobot.utils import errors
-    from lerobot_teleoperator_smooth_operator import commands, following
+def plugin() -> Iterator[SimpleNamespace]:
+    with plugins():
+        import lerobot_teleoperator_smooth_operator as package
+        from lerobot.utils import errors
+        from lerobot_teleoperator_smooth_operator import following
 
-    yield SimpleNamespace(package=package, commands=commands, following=following, errors=errors)
-    for name in [n for n in sys.modules if n.startswith(TELEOPERATOR) and not REAL]:
-        del sys.modules[name]  # they hold the classes of a stand-in that is gone
-
-
-class Clock:
-    """Time that the test sets [s]."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
+        yield SimpleNamespace(package=package, following=following, errors=errors)
 
 
 class Session:
-    """A teleoperator whose messages come from the test; connected as LeRobot does it."""
+    """A teleoperator whose time and messages come from the test.
+
+    Attributes:
+        more: fields of each message besides those of every command.
+    """
 
     def __init__(self, plugin: SimpleNamespace, monkeypatch: Any, **settings: Any) -> None:
-        self.clock, self.number, self.plugin = Clock(), 0, plugin
-        feed = SimpleNamespace(error=None, close=lambda: None)
-        module = sys.modules[f"{TELEOPERATOR}.smooth_operator"]
+        self.clock, self.number = SimpleNamespace(now=100.0), 0
+        self.angles, self.wrist, self.sides = [0.1, 0.2], None, ("right",)
+        self.names, self.more = ["i-mcp", "i-pip"], {}
         config = plugin.package.SmoothOperatorConfig(**settings)
-        self.device = plugin.package.SmoothOperator(config, self.clock)
+        self.device = plugin.package.SmoothOperator(config, lambda: self.clock.now)
 
         def subscribe(address: str, newest: Any) -> Any:
             self.newest = newest
             self.send()
-            return feed
+            return SimpleNamespace(error=None, close=lambda: None)
 
-        monkeypatch.setattr(module, "Subscription", subscribe)
-        self.angles, self.wrist, self.sides = [0.1, 0.2], None, ("right",)
-        self.names = ["i-mcp", "i-pip"]
+        monkeypatch.setattr(
+            sys.modules[f"{TELEOPERATOR}.smooth_operator"], "Subscription", subscribe
+        )
 
     def send(self, sent: float | None = None, **more: Any) -> None:
         self.number += 1
@@ -93,9 +87,16 @@ class Session:
                 "unix_time": 0.0,
                 "valid_for_s": 0.2,
                 "wrist": self.wrist,
+                **self.more,
                 **more,
             }
             self.newest.receive(json.dumps(message).encode())
+
+    def act(self, after: float = 0.03, **more: Any) -> dict[str, float]:
+        """The action for a message that comes some time [s] after the last one."""
+        self.clock.now += after
+        self.send(**more)
+        return dict(self.device.get_action())
 
 
 @pytest.fixture
@@ -149,12 +150,10 @@ def test_both_hands_and_the_wrist_have_keys_of_their_own(session):
 def test_joints_of_an_arm_are_among_the_keys(session):
     """As the sink zmq sends them."""
     arm = ArmCommand("panda", ("joint1", "joint2"), np.array([0.3, -0.4]), np.zeros(2), np.zeros(7))
-    hand = load_hand("mimic_p050")
-    message = command_message(replace(make_tick(hand), arm=arm), 0.2)
+    message = command_message(replace(make_tick(load_hand("mimic_p050")), arm=arm), 0.2)
     now = session(joints={"index_mcp2pp": "index", "arm_joint2": "shoulder"})
     now.names, now.angles = message["names"], message["positions"]
-    send = now.send
-    now.send = lambda **more: send(arm=message["arm"], **more)
+    now.more = {"arm": message["arm"]}
     now.device.connect()
     assert now.device.get_action()["shoulder.pos"] == -0.4
     assert now.device.get_action().keys() == {"index.pos", "shoulder.pos"}
@@ -248,18 +247,15 @@ def test_a_session_that_ended_is_not_followed(session, plugin):
 def test_a_wrist_that_is_lost_stays_and_comes_back_without_a_jump(session):
     now = session(joints=JOINTS, wrist="quaternion")
     pose = [0.3, 0.2, 0.1, 1.0, 0.0, 0.0, 0.0]
-    now.wrist = {"pose": pose, "valid": True, "engaged": True}
+    there = {"pose": pose, "valid": True, "engaged": True}
+    now.wrist = there
     now.device.connect()
-    keys = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 
     def step(wrist: Any) -> list[float]:
-        now.clock.now += 0.01
-        now.wrist = wrist
-        now.send()
-        action = now.device.get_action()
-        return [action[key] for key in keys]
+        action = now.act(0.01, wrist=wrist)
+        return [action[key] for key in POSE]
 
-    step(now.wrist)
+    step(there)
     assert step({"pose": pose, "valid": False, "engaged": False}) == pose
     assert step(None) == pose
     away = {"pose": [0.5, 0.2, 0.1, 0.0, 0.0, 0.0, 1.0], "valid": True, "engaged": True}
@@ -333,9 +329,7 @@ def test_it_says_what_is_missing(plugin):
     config = plugin.package.SmoothOperatorConfig(address=address, timeout_s=0.05)
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="start smooth-operator teleop"):
         plugin.package.SmoothOperator(config).connect()
-    sink = ZmqSink(address)
-    sink.open({"right": hand}, {})
-    with Publishing(sink, hand):
+    with publishing(address, hand):
         refused("set --teleop.side=right", side="left")
         refused("without the pose of a wrist", wrist="quaternion")
         refused("no_joint are not joints of", joints={"no_joint": "thumb"})
@@ -347,11 +341,9 @@ def test_it_says_what_is_missing(plugin):
 def test_it_reads_what_the_sink_zmq_sends(plugin):
     hand = load_hand("mimic_p050")
     address = f"tcp://127.0.0.1:{free_port()}"
-    sink = ZmqSink(address)
-    sink.open({"right": hand}, {})
     config = plugin.package.SmoothOperatorConfig(address=address, unit="radians")
     device = plugin.package.SmoothOperator(config)
-    with Publishing(sink, hand):
+    with publishing(address, hand):
         device.connect()
         assert set(device.action_features) == {f"{name}.pos" for name in hand.joint_names}
         seen = {tuple(device.get_action().values())}
@@ -448,26 +440,26 @@ def test_a_calibration_is_guided_and_stored_and_used(plugin, monkeypatch, tmp_pa
     unnamed.disconnect()
 
 
-class Publishing:
-    """Has a sink send commands, each as if the loop had made it, until the block ends."""
+@contextlib.contextmanager
+def publishing(address: str, hand: Any) -> Iterator[None]:
+    """The sink zmq sends commands, each as if the loop had made it, until the block ends."""
+    sink, over = ZmqSink(address), threading.Event()
+    sink.open({"right": hand}, {})
 
-    def __init__(self, sink: ZmqSink, hand: Any) -> None:
-        self.sink, self.hand, self.over = sink, hand, threading.Event()
-        self.thread = threading.Thread(target=self.run)
+    def run() -> None:
+        for number in itertools.count():
+            if over.wait(0.005):
+                return
+            sink.send(make_tick(hand, number))
 
-    def run(self) -> None:
-        number = 0
-        while not self.over.wait(0.005):
-            self.sink.send(make_tick(self.hand, number))
-            number += 1
-
-    def __enter__(self) -> None:
-        self.thread.start()
-
-    def __exit__(self, *error: object) -> None:
-        self.over.set()
-        self.thread.join()
-        self.sink.close()
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        sink.close()
 
 
 def test_the_human_hand_of_each_action_is_known(session):
@@ -475,9 +467,7 @@ def test_the_human_hand_of_each_action_is_known(session):
     now.device.connect()
 
     def step(**human: Any) -> dict[str, Any]:
-        now.clock.now += 0.03
-        now.send(**human)
-        now.device.get_action()
+        now.act(**human)
         values = dict(now.device.human.values)
         kinds = {name: (str(each.dtype), each.shape) for name, each in values.items()}
         features = now.device.human.features.items()
@@ -526,11 +516,9 @@ def test_steps_turn_landmarks_into_joints_or_a_gripper(session, plugin):
     now.device.connect()
 
     def step(points: np.ndarray | None) -> dict[str, float]:
-        now.clock.now += 0.03
-        now.send(landmarks=None if points is None else points.tolist())
-        action = now.device.get_action()
+        action = now.act(landmarks=None if points is None else points.tolist())
         assert action.keys() == now.device.action_features.keys()
-        return dict(action)
+        return action
 
     rest = {f"{name}.pos" for name in JOINTS.values()}
     joints = plugin.package.LandmarksToJoints(hand="mimic_p050", method="joint_angle")
@@ -619,28 +607,23 @@ def test_an_end_effector_has_lerobots_keys(session):
     now.wrist = {"pose": [0.3, 0.2, 0.1, half, 0, 0, half]}
     assert set(now.device.action_features) == set(EE)  # before connect, and no joints of the hand
     now.device.connect()
-
-    def act(**more: Any) -> dict[str, float]:
-        now.clock.now += 0.03
-        now.send(**more)
-        return now.device.get_action()
-
-    action = act(landmarks=hand_of(0.0).tolist())
+    action = now.act(landmarks=hand_of(0.0).tolist())
     assert action.keys() == set(EE)
     np.testing.assert_allclose(
         [action[k] for k in EE], [0.3, 0.2, 0.1, 0, 0, math.pi / 2, 0.0], atol=1e-9
     )
     # Paused, or without a hand, the gripper holds what it has.
-    assert act(landmarks=hand_of(1.0).tolist(), mode="paused")["ee.gripper_pos"] < 1e-9
-    assert act(landmarks=None)["ee.gripper_pos"] < 1e-9
-    assert act(landmarks=hand_of(1.0).tolist())["ee.gripper_pos"] == pytest.approx(100.0)
+    assert now.act(landmarks=hand_of(1.0).tolist(), mode="paused")["ee.gripper_pos"] < 1e-9
+    assert now.act(landmarks=None)["ee.gripper_pos"] < 1e-9
+    now.more = {"landmarks": hand_of(1.0).tolist()}
+    assert now.act()["ee.gripper_pos"] == pytest.approx(100.0)
     # DAgger hands over from the pose of a policy.
     now.device.enable_torque()
     policy = dict(zip(EE, [0.1, 0.0, 0.2, 0.0, 0.0, 0.0, 40.0], strict=True))
     now.device.send_feedback(policy)
     assert now.device.get_action() == pytest.approx(policy)
     now.device.disable_torque()
-    assert act(landmarks=hand_of(1.0).tolist()) == pytest.approx(policy, abs=1e-9)
+    assert now.act() == pytest.approx(policy, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -657,16 +640,12 @@ def test_a_gripper_of_the_catalogue_follows_its_retargeted_jaw(
     """The method closes it where the tracker leaves a gap between fingers that touch."""
     now = session(hand=hand, gripper="pinch")
     assert now.device.action_features == {"gripper.pos": float}
-    send = now.send
-    now.send = lambda **more: send(hand=hand, landmarks=hand_of(0.5).tolist(), **more)
+    now.more = {"hand": hand, "landmarks": hand_of(0.5).tolist()}
     now.names, now.angles = [joint], [opened]
     now.device.connect()
 
     def act(position: float, mode: str = "tracking") -> float:
-        now.clock.now += 0.03
-        now.angles = [position]
-        now.send(mode=mode)
-        action = now.device.get_action()
+        action = now.act(positions=[position], mode=mode)
         assert list(action) == ["gripper.pos"]
         return action["gripper.pos"]
 
@@ -674,15 +653,11 @@ def test_a_gripper_of_the_catalogue_follows_its_retargeted_jaw(
     assert act((closed + opened) / 2) == pytest.approx(50.0, abs=6.0)
     held = act(closed)
     assert act(opened, "easing") == held  # what is in the gripper is not dropped
-
-
-def test_a_gripper_follows_the_landmarks_if_another_hand_is_driven(session):
-    now = session(gripper="pinch")
-    now.device.connect()
+    other = session(gripper="pinch")  # of another hand: the landmarks
+    other.device.connect()
     for opening, expected in ((1.0, 100.0), (0.0, 0.0)):
-        now.clock.now += 0.03
-        now.send(landmarks=hand_of(opening).tolist())
-        assert now.device.get_action() == {"gripper.pos": pytest.approx(expected, abs=1e-9)}
+        action = other.act(landmarks=hand_of(opening).tolist())
+        assert action == {"gripper.pos": pytest.approx(expected, abs=1e-9)}
 
 
 def test_deltas_add_up_to_the_motion(session):
@@ -698,9 +673,7 @@ def test_deltas_add_up_to_the_motion(session):
         moved = pose.copy()
         moved[:3] += [0.05, -0.03, 0.002] if number > 2 else 0.0
         now.wrist = {"pose": moved.tolist()}
-        now.clock.now += 0.03
-        now.send(landmarks=hand_of(0.0 if number < 20 else 1.0).tolist())
-        action = now.device.get_action()
+        action = now.act(landmarks=hand_of(0.0 if number < 20 else 1.0).tolist())
         assert tuple(action) == (names[3], *names[:3])
         made.append([action[name] for name in names])
     steps = np.array(made)
@@ -719,10 +692,8 @@ def test_an_arm_has_lerobots_keys_and_units(session):
     now.names, now.angles = ["gripper"], [0.593]
     with pytest.raises(ValueError, match=r"shoulder_pan.*start teleop with --arm so101"):
         now.device.connect()
-    send = now.send
     arm = {"names": joints, "positions": [0.1, -0.2, 0.3, -0.4, 0.5]}
-    now.angles = [-0.174533]
-    now.send = lambda **more: send(arm=arm, hand="so101", **more)
+    now.angles, now.more = [-0.174533], {"arm": arm, "hand": "so101"}
     now.device.connect()
     action = now.device.get_action()
     assert list(action) == keys
@@ -737,8 +708,7 @@ def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
     sink, said = ZmqSink(), []
     press = sink_actions([sink], said.append)
     now = session(joints=JOINTS)
-    send = now.send
-    now.send = lambda **more: send(episode=dict(sink.episode), **more)
+    now.more = {"episode": sink.episode}
     assert not any(now.device.get_teleop_events().values())
     press["success"]()
     now.device.connect()
@@ -760,8 +730,7 @@ def test_events_come_from_the_mode_and_the_keys_of_teleop(session):
     assert said == [ACTIONS[name][0] for name in ("success", "success", "end", "again")]
 
 
-@pytest.mark.lerobot
-@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+@with_lerobot
 def test_keys_of_teleop_end_an_episode_or_repeat_it(session, plugin, monkeypatch):
     """LeRobot's own loop, with a robot that counts its actions; the keys come after the third."""
     from lerobot.processor import make_default_processors
@@ -799,8 +768,7 @@ def test_keys_of_teleop_end_an_episode_or_repeat_it(session, plugin, monkeypatch
         assert now.device.events == events
 
 
-@pytest.mark.lerobot
-@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+@with_lerobot
 @pytest.mark.parametrize("wrist", ["quaternion", "rotation_6d", "ee"])
 def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
     """As DAgger does it: LeRobot moves us to the robot, then releases us."""
@@ -845,57 +813,18 @@ def test_dagger_hands_over_where_the_policy_stopped(session, wrist):
     assert device.get_action() == pytest.approx(human)
 
 
-@pytest.mark.lerobot
-@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
-def test_hil_serl_takes_the_events(session):
-    """Its three steps: the human's action, the events, and what they mean for the transition."""
-    import torch
-    from lerobot.processor import (
-        AddTeleopActionAsComplimentaryDataStep,
-        AddTeleopEventsAsInfoStep,
-        InterventionActionProcessorStep,
-        TransitionKey,
-        create_transition,
-    )
-    from lerobot.teleoperators.utils import TeleopEvents
-
-    now, policy = session(joints=JOINTS), torch.ones(3)
-    now.device.connect()
-    counts = dict.fromkeys(("success", "end", "again"), 0)
-
-    def step(action: str = "", mode: str = "paused") -> Any:
-        counts[action] = counts.get(action, 0) + 1
-        now.clock.now += 0.03
-        now.send(episode=counts, mode=mode)
-        transition = create_transition(action=policy, info={}, complementary_data={})
-        for each in (
-            AddTeleopActionAsComplimentaryDataStep(now.device),
-            AddTeleopEventsAsInfoStep(now.device),
-            InterventionActionProcessorStep(),
-        ):
-            transition = each(transition)
-        return transition
-
-    alone = step()
-    assert torch.equal(alone[TransitionKey.ACTION], policy)
-    assert (alone[TransitionKey.DONE], alone[TransitionKey.REWARD]) == (False, 0.0)
-    taken = step(mode="tracking")
-    assert taken[TransitionKey.INFO][TeleopEvents.IS_INTERVENTION]
-    assert not torch.equal(taken[TransitionKey.ACTION], policy)
-    done = [(each[TransitionKey.DONE], each[TransitionKey.REWARD]) for each in map(step, counts)]
-    assert done[:3] == [(True, 1.0), (True, 0.0), (True, 0.0)]
-    assert step("again")[TransitionKey.INFO][TeleopEvents.RERECORD_EPISODE]
-
-
-@pytest.mark.lerobot
-@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
+@with_lerobot
 def test_hil_serl_moves_the_arm_by_our_deltas(session):
-    """The steps of LeRobot's ``rl/gym_manipulator.py``, in its order; a solver that only adds."""
+    """The steps of LeRobot's ``rl/gym_manipulator.py``, in its order; a solver that only adds.
+
+    Also: what the keys of an episode mean for a transition.
+    """
     import torch
     from lerobot.processor import TransitionKey, create_transition
     from lerobot.processor import delta_action_processor as deltas
     from lerobot.processor import hil_processor as hil
     from lerobot.robots.so_follower import robot_kinematic_processor as arms
+    from lerobot.teleoperators.utils import TeleopEvents
 
     joints = [*(f"joint{number}" for number in range(5)), "gripper"]
     seen = []
@@ -927,44 +856,30 @@ def test_hil_serl_moves_the_arm_by_our_deltas(session):
         arms.InverseKinematicsEEToJoints(kinematics, joints),
     ]
 
-    def act(opening: float, mode: str = "tracking") -> dict[str, float]:
+    def act(opening: float, **more: Any) -> Any:
         now.clock.now += 0.03
-        now.send(mode=mode, landmarks=hand_of(opening).tolist())
+        now.send(landmarks=hand_of(opening).tolist(), **more)
         transition = create_transition(
             action=torch.tensor([0.0, 0.0, 1.0, 1.0]),  # the policy moves up, the gripper stays
             observation={f"{name}.pos": 10.0 for name in joints},
         )
         for step in steps:
             transition = step(transition)
-        return transition[TransitionKey.ACTION]
+        return transition
 
-    assert act(0.0)["gripper.pos"] == 30.0  # closed: LeRobot closes towards its maximum
+    first = act(0.0)
+    assert first[TransitionKey.INFO][TeleopEvents.IS_INTERVENTION]
+    # closed: LeRobot closes towards its maximum
+    assert first[TransitionKey.ACTION]["gripper.pos"] == 30.0
     now.wrist = {"pose": [0.31, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0]}
-    assert act(1.0)["gripper.pos"] == 0.0
+    assert act(1.0)[TransitionKey.ACTION]["gripper.pos"] == 0.0
     np.testing.assert_allclose(seen[-1], [0.21, 0.0, 0.1], atol=1e-6)
-    act(1.0, "paused")  # the policy has the arm again
+    counts = dict.fromkeys(("success", "end", "again"), 0)
+    alone = act(1.0, mode="paused", episode=counts)  # the policy has the arm again
     np.testing.assert_allclose(seen[-1], [0.2, 0.0, 0.12], atol=1e-6)
-
-
-@pytest.mark.lerobot
-@pytest.mark.skipif(not REAL, reason="LeRobot is not installed")
-def test_lerobots_own_steps_for_arms_take_the_end_effector(plugin):
-    from lerobot.processor import ProcessorStepRegistry, TransitionKey, create_transition
-    from lerobot.robots.so_follower import robot_kinematic_processor as arms
-
-    solver = SimpleNamespace(inverse_kinematics=lambda q, pose, **_: np.zeros(len(q)))
-    joints = [*(f"joint{number}" for number in range(5)), "gripper"]
-    landmarks = SyntheticOperator(seed=0).record(0.02).landmarks[0]
-    keys = sys.modules[f"{TELEOPERATOR}.landmark_steps"].LANDMARK_KEYS
-    action = dict(zip(POSE, [0.3, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0], strict=True))
-    action |= dict(zip(keys, [*landmarks.ravel(), 1.0], strict=True))
-    observation = {f"{name}.pos": 0.0 for name in joints}
-    transition = create_transition(action=action, observation=observation)
-    for step in (
-        ProcessorStepRegistry.get("smooth_operator_landmarks_to_end_effector")(),
-        arms.EEBoundsAndSafety({"min": [-1.0] * 3, "max": [1.0] * 3}),
-        arms.InverseKinematicsEEToJoints(solver, joints),
-    ):
-        transition = step(transition)
-    assert transition[TransitionKey.ACTION].keys() == observation.keys()
-    assert 0.0 < transition[TransitionKey.ACTION]["gripper.pos"] <= 100.0
+    assert (alone[TransitionKey.DONE], alone[TransitionKey.REWARD]) == (False, 0.0)
+    for key, reward in (("success", 1.0), ("end", 0.0), ("again", 0.0)):
+        counts[key] += 1
+        done = act(1.0, mode="paused", episode=counts)
+        assert (done[TransitionKey.DONE], done[TransitionKey.REWARD]) == (True, reward)
+    assert done[TransitionKey.INFO][TeleopEvents.RERECORD_EPISODE]
