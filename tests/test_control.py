@@ -6,8 +6,7 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -146,19 +145,10 @@ class Client:
 
 
 def test_no_message_ends_the_listening(running):
-    ended = threading.Event()
-
-    def listen() -> None:
-        with remote(running.loop, "tcp://127.0.0.1:*") as address:
-            found.append(address)
-            go.wait(LONG)
-        ended.set()
-
-    found: list[str] = []
-    go = threading.Event()
-    threading.Thread(target=listen, daemon=True).start()
-    until(lambda: found, LONG)
-    with Client(found[0]) as client:
+    with (
+        remote(running.loop, "tcp://127.0.0.1:*") as address,
+        Client(address) as client,
+    ):
         for message in HOSTILE:
             answer = client.ask(message)
             assert not answer["ok"], message[:40]
@@ -167,8 +157,6 @@ def test_no_message_ends_the_listening(running):
             client.send(*[b"x"] * 100)  # more parts than any relay adds
         assert client.ask(b"status")["modes"] == {"right": "waiting"}
         assert client.ask(b'{"do": "stop"}')["modes"] == {"right": "stopped"}
-        go.set()
-        assert ended.wait(LONG), "the context waits for a socket that nobody closes"
     assert running.mode() is Mode.STOPPED
 
 
@@ -281,41 +269,33 @@ def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running):
     assert len(at) <= (at[-1] - at[0]) * RATE + EXTRA + 2
 
 
-@contextmanager
-def keyboard(
-    loop: TeleopLoop, said: list[str], more: Mapping[str, Callable[[], None]] = {}
-) -> Iterator[str]:
-    """Listens to the keys of the terminal as a run does; yields its line of help."""
-    bindings = read_bindings()
-    acts = {**more, **actions(loop, bindings, said.append)}
-    with pressing(bindings, acts) as press, terminal_keys(press):
-        yield help_line(bindings, acts)
-
-
 class Terminal:
     """A terminal to press keys on, and what it showed."""
 
     def __init__(self, master: int) -> None:
-        self._master = master
+        self.master = master
         self.said: list[str] = []
 
     def press(self, keys: bytes) -> str:
         """Press keys; returns what is said of it."""
         before = len(self.said)
-        os.write(self._master, keys)
+        os.write(self.master, keys)
         until(lambda: len(self.said) > before, LONG)
         return self.said[before]
 
 
 @pytest.fixture
 def terminal(running: Running, monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    """Listens to its keys as a run does; the key of ``go`` raises."""
     pty = pytest.importorskip("pty", reason="a POSIX terminal")
     master, slave = pty.openpty()
-    built = Terminal(master)
+    built, bindings = Terminal(master), read_bindings()
+    acts = {"go": lambda: [][1], **actions(running.loop, bindings, built.said.append)}
+    line = help_line(bindings, acts)
+    assert line.startswith("space, escape or x: EMERGENCY STOP   u: release the stop   p:")
     with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", stdin)
-        with keyboard(running.loop, built.said) as line:
-            assert line.startswith("space, escape or x: EMERGENCY STOP   u: release the stop   p:")
+        with pressing(bindings, acts) as press, terminal_keys(press):
             yield built
     os.close(master)
 
@@ -360,32 +340,22 @@ def test_pause_asks_what_the_robot_does(running, terminal):
     stays(running, Mode.WAITING)
 
 
-def test_a_key_that_goes_wrong_is_not_the_last(running, monkeypatch, capfd):
-    pty = pytest.importorskip("pty", reason="a POSIX terminal")
-    master, slave = pty.openpty()
-    built = Terminal(master)
-    with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
-        patched.setattr(sys, "stdin", stdin)
-        with keyboard(running.loop, built.said, {"go": lambda: [][1]}):
-            os.write(master, b"g")
-            built.press(b" ")
-            stays(running, Mode.STOPPED)
+def test_a_key_that_goes_wrong_is_not_the_last(running, terminal, capfd):
+    os.write(terminal.master, b"g")
+    terminal.press(b" ")
+    stays(running, Mode.STOPPED)
     assert "IndexError" in capfd.readouterr().err
-    os.close(master)
 
 
-@pytest.fixture(scope="module")
-def loop() -> TeleopLoop:
-    asked = make_request(method="joint_angle")
-    retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
-    source: Any = SimpleNamespace(label="none", health=lambda: SourceHealth("waiting"))
+@pytest.fixture
+def loop(retargeter) -> TeleopLoop:
     config = LoopConfig()
-    return TeleopLoop({"right": HandPipeline(retargeter, config)}, source, SinkRunner(), config)
+    return TeleopLoop({"right": HandPipeline(retargeter, config)}, Silence(), SinkRunner(), config)
 
 
 def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something():
     def shown(**arm: Any) -> str:
-        hand = {"mode": "tracking", "latched": None, "wrist": None, "arm": arm}
+        hand = {"mode": "tracking", "latched": None, "wrist": None, "arm": arm or None}
         return live_texts.modes({"right": hand})
 
     assert "arm: follows<" in shown(state="following", position_error=0.002, clearance=0.2)
@@ -393,9 +363,7 @@ def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something():
     assert "brakes, too near to something, the wrist is 41 mm off, 21 mm from touching" in braking
     still = shown(state="holding", position_error=float("nan"), clearance=float("inf"))
     assert "arm: holds<" in still
-    assert "data-arm" not in live_texts.modes(
-        {"right": {"mode": "tracking", "latched": None, "wrist": None, "arm": None}}
-    )
+    assert "data-arm" not in shown()
 
 
 def test_the_page_is_told_both_wrists(loop):

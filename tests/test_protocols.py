@@ -1,6 +1,5 @@
 """Methods and sinks say what they can do, and what a method of one's own needs."""
 
-import inspect
 from dataclasses import dataclass, field
 from itertools import permutations
 from typing import Any, ClassVar
@@ -25,40 +24,21 @@ from smooth_operator.teleop.sinks.table import TableSink
 # Methods
 
 
-def test_every_step_takes_the_frames_time():
-    hand = load_hand("mimic_p050")
-    for name in PRESETS:
-        built = method_config(name).build(hand)
-        assert [*inspect.signature(built.step).parameters] == ["state", "aligned", "ticks"]
-        if built.on_host:
-            assert [*inspect.signature(built.prepare).parameters][-1] == "ticks"
-
-
-def test_what_methods_say_of_themselves():
+def test_what_methods_say_of_themselves(tmp_path):
     hand = load_hand("mimic_p050")
     built = {name: method_config(name).build(hand) for name in PRESETS}
-    assert {name for name, one in built.items() if one.on_host} == {
-        "keyvector",
-        "hybrid",
-        "dexpilot",
-        "ako",
-    }
-    assert {name for name, one in built.items() if one.trajectory_objective is not None} == {
-        "sbr",
-        "smooth",
-    }
+    on_host = {name for name, one in built.items() if one.on_host}
+    assert on_host == {"keyvector", "hybrid", "dexpilot", "ako"}
+    trajectories = {n for n, one in built.items() if one.trajectory_objective is not None}
+    assert trajectories == {"sbr", "smooth"}
     latches = {n for n, one in built.items() if one.latched(one.init(0)) is not None}
     assert latches == {"sbr", "dexpilot", "smooth"}
+    file = tmp_path / "model.npz"
+    assert {n for n in PRESETS if method_config(n).with_file(file) is not None} == {"geort"}
     for presets in PRESETS.values():
         for name, config in presets.items():
             assert isinstance(config, TrajectoryMethodConfig) == (name == "offline")
             assert config.with_alignment(scale=0.9).alignment.scale == 0.9
-
-
-def test_a_file_stands_for_a_preset_only_where_the_method_takes_one(tmp_path):
-    file = tmp_path / "model.npz"
-    taken = {name for name in PRESETS if method_config(name).with_file(file) is not None}
-    assert taken == {"geort"}
 
 
 @dataclass(frozen=True)

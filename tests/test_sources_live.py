@@ -15,7 +15,7 @@ from smooth_operator.plugins import Entry, Registry
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
-from smooth_operator.teleop.components import SOURCES, build_component, build_source
+from smooth_operator.teleop.components import build_component, build_source
 from smooth_operator.teleop.sources.live import (
     Arrival,
     Mailbox,
@@ -132,6 +132,8 @@ def test_a_word_with_settings_makes_its_part():
     assert made == Part(Path("in/a=b.npz"), 2.0, True, None, "left")
     assert build_component(PARTS, "part:where=x,many=3") == Part(Path("x"), many=3)
     assert "part" in PARTS.describe()
+    assert build_source("replay:glove.npz,speed=2") == Replay(Path("glove.npz"), speed=2.0)
+    assert build_source("synthetic:3,side=both") == SyntheticSource(seed=3, side="both")
 
 
 def test_a_class_of_ones_own_is_named_by_its_module():
@@ -140,10 +142,10 @@ def test_a_class_of_ones_own_is_named_by_its_module():
     assert build_component(PARTS, f"{own},where=x,many=3") == Part(Path("x"), many=3)
     assert build_component(PARTS, "part:pathlib.py") == Part(Path("pathlib.py"))
     assert PARTS.split("part:a:b") == ("part", "a:b")
-    assert PARTS.split("my.lab:Sink:tcp://127.0.0.1:5,x=1") == (
-        "my.lab:Sink",
-        "tcp://127.0.0.1:5,x=1",
-    )
+    parts = PARTS.split("my.lab:Sink:tcp://127.0.0.1:5,x=1")
+    assert parts == ("my.lab:Sink", "tcp://127.0.0.1:5,x=1")
+    with pytest.raises(ConfigError, match="can't be a source: it lacks label, start, stop, health"):
+        build_source(f"{own}:x")
 
 
 @pytest.mark.parametrize(
@@ -170,19 +172,6 @@ def test_a_bad_word_says_what_is_wrong(text, error, says):
     with pytest.raises(error) as caught:
         build_component(PARTS, text)
     assert says in str(caught.value)
-
-
-def test_a_class_that_is_no_source_is_refused():
-    with pytest.raises(ConfigError, match="can't be a source: it lacks label, start, stop, health"):
-        build_source(f"{__name__}:Part:x")
-
-
-def test_the_sources_of_this_page_are_in_the_catalogue():
-    assert build_source("replay:glove.npz,speed=2") == Replay(Path("glove.npz"), speed=2.0)
-    assert build_source("synthetic:3,side=both") == SyntheticSource(seed=3, side="both")
-    for word in ("udp", "zmq", "manus", "synthetic"):
-        assert build_source(word).label
-        assert word in SOURCES
 
 
 def test_deadlines_are_absolute_so_that_lateness_never_adds_up():
@@ -342,13 +331,19 @@ def test_settings_of_the_operator_are_checked(settings, says):
     ],
 )
 def test_stamps_that_jump_back_are_another_session(stamps, sessions):
+    assert received([Reading(frame(at), True) for at in stamps]) == [
+        ("right", session) for session in sessions
+    ]
+
+
+def received(readings: list[Reading]) -> list[tuple[Side, int]]:
+    """Side and session of each frame of messages that are read so."""
     running, mailbox = started(Waits())
-    receiver = MessageReceiver(
-        running, "here", ("right",), lambda _, at: [Reading(frame(at), True)]
-    )
-    for stamp in stamps:
-        receiver.take((b"",), stamp)
-    assert [a.session for a in mailbox.all] == sessions
+    script = iter(readings)
+    receiver = MessageReceiver(running, "here", ("right", "left"), lambda *_: [next(script)])
+    for reading in readings:
+        receiver.take((b"",), reading.frame.stamp)
+    return [(a.frame.side, a.session) for a in mailbox.all]
 
 
 def test_each_hand_has_its_sessions_and_a_tracker_may_name_them():
@@ -359,17 +354,8 @@ def test_each_hand_has_its_sessions_and_a_tracker_may_name_them():
         Reading(frame(1.1, "left"), True, "a"),
         Reading(frame(1.2), False, "b"),
     ]
-    running, mailbox = started(Waits())
-    receiver = MessageReceiver(running, "here", ("right", "left"), lambda m, _: [script[int(m[0])]])
-    for k in range(len(script)):
-        receiver.take((str(k).encode(),), 0.0)
-    assert [(a.frame.side, a.session) for a in mailbox.all] == [
-        ("right", 0),
-        ("left", 0),
-        ("right", 1),
-        ("left", 0),
-        ("right", 2),
-    ]
+    sessions = [("right", 0), ("left", 0), ("right", 1), ("left", 0), ("right", 2)]
+    assert received(script) == sessions
 
 
 def test_health_counts_what_could_not_be_read_and_tells_of_silence():

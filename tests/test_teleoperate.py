@@ -123,11 +123,9 @@ def test_the_robot_holds_until_the_method_is_compiled(monkeypatch):
         return warm_up(retargeter)
 
     def watch(loop: TeleopLoop) -> None:
-        while len(kept.ticks) < 30:
-            time.sleep(0.01)
+        until(lambda: len(kept.ticks) >= 30)
         go.set()
-        while kept.ticks[-1].status is None:
-            time.sleep(0.01)
+        until(lambda: kept.ticks[-1].status is not None)
         loop.controls.quit()
 
     def start(loop: TeleopLoop) -> None:
@@ -152,8 +150,8 @@ def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path, capsys):
         os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=interrupt).start()
-    arguments = ["--method", "joint_angle", "--sink", f"record:{log}"]
-    assert main(["teleop", "--no-view", "--json", *arguments]) == 130
+    command = f"teleop --no-view --json --method joint_angle --sink record:{log}"
+    assert main(command.split()) == 130
     summary = json.loads(capsys.readouterr().out)
     assert summary["interrupted"]
     assert summary["frames_answered"] > 0

@@ -3,31 +3,29 @@
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from glove_simulator import write_manus
-from live_time import PATIENCE_S
+from live_time import Kept, until
 from protobuf_log import decoded
 from ticks import make_tick
 
 from smooth_operator import load_hand, poses, read_recording
-from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import ArmTrack, Episode, StateTrajectory, WristTrack
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
-from smooth_operator.teleop.recording.convert import read_episode
+from smooth_operator.teleop.recording import read_episode, write_episode
 from smooth_operator.teleop.recording.log import LogWriter
-from smooth_operator.teleop.recording.log_episode import read_log_episode, write_log_episode
+from smooth_operator.teleop.recording.log_episode import write_log_episode
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
-from smooth_operator.teleop.sources.live import Arrival, Mailbox
+from smooth_operator.teleop.sources.live import ThreadedSource
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.teleop.sources.played import Replay, SyntheticSource
 from smooth_operator.teleop.sources.programs import read_manus
@@ -121,21 +119,7 @@ def test_the_operator_knows_its_wrist(side):
 
 
 def test_the_live_operator_moves_its_wrist_and_not_its_landmarks():
-    boxes = [Mailbox(), Mailbox()]
-    seen: list[list[HandFrame]] = [[], []]
-    for box, frames, wrist in zip(boxes, seen, (0.05, 0.0), strict=True):
-        post = box.post
-
-        def keep(frame: HandFrame, frames: list = frames, post: Any = post, **more: Any) -> Arrival:
-            frames.append(frame)
-            return post(frame, **more)
-
-        box.post = keep
-        source = SyntheticSource(duration=0.2, wrist=wrist)
-        source.start(box)
-        source._running._thread.join(PATIENCE_S)
-        source.stop()
-    moved, still = seen
+    moved, still = (played(SyntheticSource(duration=0.2, wrist=wrist)) for wrist in (0.05, 0.0))
     assert len(moved) == len(still) == 20
     for a, b in zip(moved, still, strict=True):
         np.testing.assert_array_equal(a.landmarks, b.landmarks)
@@ -146,15 +130,20 @@ def test_the_live_operator_moves_its_wrist_and_not_its_landmarks():
     assert moved[0].world == "synthetic"
 
 
+def played(source: ThreadedSource) -> list[HandFrame]:
+    """All frames of a source."""
+    mailbox = Kept()
+    source.start(mailbox)
+    until(lambda: source.health().state == "ended")
+    source.stop()
+    return [arrival.frame for arrival in mailbox.all]
+
+
 def test_a_replay_has_the_wrist_of_its_recording(tmp_path):
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
-    source, box, seen = Replay(tmp_path / "a.mcap", speed=100.0), Mailbox(), []
-    box.post = lambda frame, **_: seen.append(frame)
-    source.start(box)
-    source._running._thread.join(PATIENCE_S)
-    source.stop()
-    np.testing.assert_array_equal([f.T_world_wrist for f in seen], sent.recording.T_world_wrist)
+    frames = played(Replay(tmp_path / "a.mcap", speed=100.0))
+    np.testing.assert_array_equal([f.T_world_wrist for f in frames], sent.recording.T_world_wrist)
 
 
 def test_a_headset_sends_its_wrist_in_its_reference_space():
@@ -212,19 +201,14 @@ def test_an_npz_holds_both_wrists(tmp_path):
     assert plain.world == "synthetic"
 
 
-def test_an_hdf5_file_holds_all_of_it(tmp_path):
-    pytest.importorskip("h5py", reason="needs the extra hdf5")
-    sent = episode()
-    write_hdf5_episode(tmp_path / "a.h5", sent)
-    same(read_hdf5_episode(tmp_path / "a.h5"), sent)
-
-
-def test_a_log_holds_all_of_it(tmp_path):
-    sent = episode()
-    write_log_episode(tmp_path / "a.mcap", sent)
-    same(read_log_episode(tmp_path / "a.mcap"), sent)
-    data = (tmp_path / "a.mcap").read_bytes()
-    assert b"foxglove.PoseInFrame" in data
+@pytest.mark.parametrize("suffix", ["h5", "mcap"])
+def test_an_hdf5_file_and_a_log_hold_all_of_it(tmp_path, suffix):
+    if suffix == "h5":
+        pytest.importorskip("h5py", reason="needs the extra hdf5")
+    sent, path = episode(), tmp_path / f"a.{suffix}"
+    write_episode(path, sent)
+    same(read_episode(path), sent)
+    assert (b"foxglove.PoseInFrame" in path.read_bytes()) == (suffix == "mcap")
 
 
 def test_a_lerobot_dataset_holds_all_of_it(tmp_path):
