@@ -120,9 +120,7 @@ class Client:
     def __init__(self, address: str) -> None:
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.SNDHWM, 0)
-        self._socket.setsockopt(zmq.RCVHWM, 0)
+        self._socket.linger = self._socket.sndhwm = self._socket.rcvhwm = 0
         self._socket.connect(address)
 
     def send(self, *frames: bytes) -> None:
@@ -140,8 +138,7 @@ class Client:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._socket.close()
-        self._context.term()
+        self._context.destroy()
 
 
 def test_no_message_ends_the_listening(running):

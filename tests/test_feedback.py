@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from free_port import free_port
 from live_time import PATIENCE_S, until
 from ticks import felt, make_tick
 
@@ -129,20 +130,10 @@ def closed(hand: Hand) -> np.ndarray:
 
 def test_a_simulated_finger_that_touches_a_box_is_felt_in_a_message(hand):
     zmq = pytest.importorskip("zmq", reason="the extra zmq is not installed")
-    world, glove = Boxed(), build_feedback("zmq:tcp://127.0.0.1:*,strength=0.5")
+    address = f"tcp://127.0.0.1:{free_port()}"
+    world, glove = Boxed(), build_feedback(f"zmq:{address},strength=0.5")
     runner = SinkRunner([world, glove])
-    address = None
-    real = module.open_publisher
-
-    def opened(*words: str) -> Any:
-        nonlocal address
-        context, publisher = real(*words)
-        address = publisher.getsockopt_string(zmq.LAST_ENDPOINT)
-        return context, publisher
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "open_publisher", opened)
-        runner.open({"right": hand}, {})
+    runner.open({"right": hand}, {})
     context = zmq.Context()
     receiver = context.socket(zmq.SUB)
     receiver.connect(address)
@@ -152,11 +143,8 @@ def test_a_simulated_finger_that_touches_a_box_is_felt_in_a_message(hand):
         """Commands a pose, as the loop does, until a message comes."""
         while not receiver.poll(10):
             tick = make_tick(hand, mode=mode)
-            tick = replace(
-                tick,
-                command=replace(tick.command, joint_positions=pose),
-                state=runner.state("right"),
-            )
+            command = replace(tick.command, joint_positions=pose)
+            tick = replace(tick, command=command, state=runner.state("right"))
             runner.send(tick)
             runner.observe(tick)
         return dict(json.loads(receiver.recv()))

@@ -1,17 +1,13 @@
 """Sources that listen on TCP, and what reaches them that is not of their protocol."""
 
 import contextlib
-import http.server
-import json
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import headset_apps as app
 import pytest
-from browser_page import new_page
 from live_time import Kept, until
 
 from smooth_operator.teleop.components import build_source
@@ -131,61 +127,3 @@ def test_a_refusal_ends_no_silence(text):
     receiver.take((RecordingError("closed"),), now)
     assert running.health.state == "waiting"
     assert running.health.detail.endswith("for 3 s; connections closed: 2; closed")
-
-
-@pytest.mark.browser
-def test_a_web_page_moves_no_hand(text, chromium):
-    """A page of another origin needs no permission for a plain POST with a body of its choice."""
-    frame = SOURCES[text]
-    posts = 8
-    with (
-        listening(text) as (source, mailbox, where),
-        served(
-            f"""<script>
-        const bodies = {json.dumps([list(frame(k)) for k in range(posts)])}.map((numbers) =>
-          Uint8Array.from(numbers));
-        const post = async (body) => {{
-          const aborting = new AbortController();
-          setTimeout(() => aborting.abort(), 300);
-          await fetch("http://127.0.0.1:{where[1]}/", {{
-            method: "POST", mode: "no-cors", body, signal: aborting.signal}}).catch(() => 0);
-        }};
-        (async () => {{
-          for (const body of bodies) await post(body);
-          new WebSocket("ws://127.0.0.1:{where[1]}/");
-          document.title = "done";
-        }})();
-        </script>"""
-        ) as url,
-    ):
-        page, _ = new_page(chromium)
-        try:
-            page.goto(url)
-            page.wait_for_function("document.title === 'done'")
-            until(lambda: "b'GET / HTTP" in source.health().detail)  # of the WebSocket
-        finally:
-            page.close()
-        closed = int(source.health().detail.split("connections closed: ")[1].split(";")[0])
-        assert closed > posts
-        assert mailbox.received == 0
-        works(mailbox, where, frame(9))
-
-
-@contextlib.contextmanager
-def served(page: str) -> Iterator[str]:
-    """A page of another origin."""
-
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            self.wfile.write(page.encode())
-
-        def log_message(self, *words: object) -> None:
-            """Not into the output of the tests."""
-
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_address[1]}/"
-        server.shutdown()

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from live_time import PATIENCE_S
 from protobuf_log import decoded, plain
-from ticks import make_tick
+from ticks import KeptTicks, make_tick
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.episode import Episode, StateTrajectory
+from smooth_operator.formats.episode import StateTrajectory
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.recording import read_episode, write_episode
+from smooth_operator.teleop.recording import read_episode
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.runtime.statistics import log_timing
@@ -103,16 +103,6 @@ def test_a_dataset_observes_the_measured_joints(log, tmp_path, hand):
         write_dataset(tmp_path / "mixed", [lambda: episode, lambda: bare], fps=100)
 
 
-def test_hdf5_and_a_new_log_keep_the_contact(log, tmp_path):
-    pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
-    episode = read_episode(log)
-    for name in ("a.h5", "b.mcap"):
-        write_episode(tmp_path / name, episode)
-        states = read_episode(tmp_path / name).states
-        np.testing.assert_array_equal(states.contact, episode.states.contact)
-        np.testing.assert_array_equal(states.newtons, episode.states.newtons)
-
-
 def test_states_of_an_episode_must_fit():
     with pytest.raises(RecordingError, match="positions must have shape"):
         StateTrajectory(np.zeros(2), np.zeros((2, 3)), ("a",))
@@ -122,7 +112,6 @@ def test_states_of_an_episode_must_fit():
     positions, stamps = few.at(np.array([0.5, 1.5, 2.0, 9.0]))
     assert positions[:, 0].tolist() == [5.0, 5.0, 6.0, 6.0]
     assert stamps.tolist() == [1.0, 1.0, 2.0, 2.0]
-    assert Episode.__dataclass_fields__["states"].default is None
 
 
 def test_a_message_of_a_state_is_no_command(hand, tmp_path):
@@ -146,25 +135,17 @@ def test_a_message_of_a_state_is_no_command(hand, tmp_path):
 
 
 def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand):
-    sink = build_sink("mujoco")
-    runner = SinkRunner([sink])
+    class Real(KeptTicks):
+        def state(self, side: str) -> HandState:
+            return measured(hand, 0, 1.0)
+
+    runner = SinkRunner([build_sink("mujoco")])
     runner.open({"right": hand}, {})
     state = runner.state("right")
     assert state.names == hand.joint_names
     assert state.positions.shape == (len(hand.joint_names),)
     assert runner.state("left") is None
-
-    class Real:
-        label, observes, simulation, note, figures = "real", False, None, "", {}
-
-        def state(self, side: str) -> HandState:
-            return measured(hand, 0, 1.0)
-
-        def open(self, *_: object) -> None: ...
-        def close(self) -> None: ...
-
     runner.add(Real())
-    found = runner.state("right")
-    assert found.stamp == 1.0
+    assert runner.state("right").stamp == 1.0
     runner.close()
     assert runner.state("right") is None

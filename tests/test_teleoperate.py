@@ -161,17 +161,6 @@ def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path, capsys):
     assert [t.name for t in threading.enumerate() if t.name in ("watchdog", "keys", "page")] == []
 
 
-def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(caplog):
-    works, fails = KeptTicks(), KeptTicks(fails=True, label="robot")
-    summary = teleoperate(TeleopRequest(duration=0.3, **METHOD), sinks=[fails, works])
-    assert len(works.ticks) == summary["commands"]["right"] > 0
-    assert [(sink["label"], sink["failed"] > 0) for sink in summary["sinks"]] == [
-        ("robot", True),
-        ("kept", False),
-    ]
-    assert any("the cable is out" in record.message for record in caplog.records)
-
-
 class FakeLoop:
     """The part of a loop that ``stopped_by`` uses."""
 

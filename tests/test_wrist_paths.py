@@ -46,7 +46,7 @@ ARRAYS = (
     *(f"wrist.{name}" for name in ("poses", "engaged", "valid")),
     *(f"arm.{name}" for name in ("positions", "measured", "poses", "name", "joint_names")),
     *(f"states.{name}" for name in ("stamps", "positions", "currents", "touch")),
-    *(f"states.{name}" for name in ("names", "actuators")),
+    *(f"states.{name}" for name in ("names", "actuators", "contact", "newtons")),
 )
 """Arrays and names of an episode besides its recording and its commands."""
 
@@ -89,6 +89,8 @@ def episode() -> Episode:
         ("m1", "m2", "m3"),
         rng.normal(size=(count - 1, 3)),
         rng.normal(size=(count - 1, 5)),
+        rng.random((count - 1, 5)),
+        rng.random((count - 1, 5)),
     )
     return Episode(
         hand, commands, {"method": "x"}, name="wrist", wrist=wrist, arm=arm, states=states
