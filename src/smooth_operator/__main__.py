@@ -1,4 +1,4 @@
-"""``python -m smooth_operator`` and the script ``smooth-operator``: the process of a command."""
+"""Entry point of ``python -m smooth_operator`` and of the script ``smooth-operator``."""
 
 import signal
 

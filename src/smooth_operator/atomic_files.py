@@ -38,7 +38,7 @@ _REMEDIES = {
 
 
 def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
-    """Turn an operating-system error about ``path`` into one that says what to do.
+    """Turns an operating-system error about ``path`` into an ``OutputError`` that says what to do.
 
     Args:
         path: the file that was to be written.
@@ -140,7 +140,7 @@ def temporary_beside(target: Path) -> Path:
 
 
 def remove_leftovers(folders: Iterable[Path]) -> int:
-    """Delete the unfinished files that killed runs on any machine have left in some folders.
+    """Deletes the unfinished files that killed runs, on any machine, have left in some folders.
 
     Returns:
         their number.
@@ -183,7 +183,8 @@ def write_json(path: Path, content: object, indent: int | None = None) -> None:
 
 
 def file_name(readable: str, words: Iterable[str]) -> str:
-    """Makes a readable file name from words: valid on every system, and unique for these words."""
+    """Makes a readable file name from words. It is valid on every system, and unique for these
+    words."""
     unique = hashlib.sha256("\n".join(words).encode()).hexdigest()[:8]
     harmless = re.sub(r"[^A-Za-z0-9.]+", "-", readable).strip("-.")
     return f"{harmless[:100]}-{unique}"
@@ -191,7 +192,7 @@ def file_name(readable: str, words: Iterable[str]) -> str:
 
 @contextlib.contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Locks a folder against a second run inside the block, or until the process ends.
+    """Locks a folder against other runs, until the block or the process ends.
 
     If folders can't be locked (Windows, some network disks), a second run is not noticed; it would
     write the same bytes.

@@ -1,4 +1,4 @@
-"""Console of rich that shows control characters of foreign text without effect."""
+"""A rich console that prints untrusted text safely: control characters are shown, not executed."""
 
 from __future__ import annotations
 

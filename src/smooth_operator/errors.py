@@ -1,4 +1,5 @@
-"""One error family: every message states what was expected, what was found, and what to do.
+"""The exceptions of this package; each message states what was expected, what was found, and what
+to do.
 
 All errors derive from ``SmoothOperatorError``, and from the matching built-in class, such as
 ``ValueError``, so that code that does not know this package can still catch them.
@@ -83,7 +84,7 @@ def require(feature: str, extra: str, *libraries: str) -> None:
 
 
 class SourceError(SmoothOperatorError, RuntimeError):
-    """A live source of hand frames can't be opened, or failed."""
+    """A live source of hand frames can't be opened, or has failed."""
 
 
 class SinkError(SmoothOperatorError, RuntimeError):
@@ -125,7 +126,7 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """`` Did you mean 'sbr'?``, for a message; empty if no name is similar.
+    """Suggests a similar name, as in `` Did you mean 'sbr'?``; empty if no name is similar.
 
     A name is similar if it contains the same words, such as ``brainco_revo2`` and ``revo2``, or has
     nearly the same letters.
@@ -152,7 +153,7 @@ def brief(value: object, most: int = _SHOWN) -> str:
 
 
 def reason(error: object, most: int = 2 * _SHOWN) -> str:
-    """Text of another library's error on one line, shortened to ``most`` characters."""
+    """Text of another library's error on one line, shortened to at most ``most`` characters."""
     text = " ".join(str(error).split())
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
@@ -165,5 +166,6 @@ def listed(names: Iterable[object], most: int = 12) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 frame``, ``2 frames``; for nouns with a regular plural."""
+    """A number with its noun, such as ``1 frame`` or ``2 frames``; for nouns with a regular
+    plural."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

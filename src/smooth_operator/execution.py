@@ -1,4 +1,4 @@
-"""Executes the plan for a recording and measures the result. Nothing here prints."""
+"""Retargets a recording as a plan says, and measures the result. Nothing here prints."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Runner: TypeAlias = BatchRetargeter | TrajectoryRetargeter
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Result of a plan.
+    """Result of executing a plan.
 
     Attributes:
         commands: the joint commands.
@@ -47,7 +47,7 @@ class Outcome:
 
 
 def runner(todo: Plan) -> Runner:
-    """Returns a retargeter for a plan. It compiles nothing yet."""
+    """Returns a retargeter for a plan, which is compiled at its first frame."""
     gaps, store = todo.pinch_gaps, ProgramStore.of_user()
     if isinstance(todo.config, TrajectoryMethodConfig):
         return TrajectoryRetargeter(todo.hand, todo.config, todo.seed, gaps, store)
@@ -70,7 +70,7 @@ def execute(
     built: tuple[Runner, float] | None = None,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> Outcome:
-    """Retargets the recording of a plan from a fresh state.
+    """Retargets the recording of a plan, starting from a fresh state.
 
     Args:
         built: result of ``build`` for this plan, or for another plan of the same hand,
@@ -85,8 +85,8 @@ def execute(
 def measure(
     todo: Plan, outcome: Outcome, definition: Definition = "sound"
 ) -> tuple[Trace, dict[str, Any]]:
-    """Returns the trace and its metrics, with the tracking loss and the time to the first
-    command."""
+    """Returns the trace of a run and its metrics, including the tracking loss and the time to the
+    first command."""
     trace = assemble_trace(todo.recording, outcome.commands, todo.hand, todo.config.alignment)
     loss = outcome.tracking_loss[np.isfinite(outcome.tracking_loss)]
     extra = {
@@ -97,8 +97,8 @@ def measure(
 
 
 def checked(request: RetargetRequest) -> RetargetRequest:
-    """Returns the request after a check of all its parts, so that a mistake does not fail once for
-    each recording.
+    """Checks all parts of a request and returns it, so that a mistake does not fail once for each
+    recording.
 
     Raises:
         UnknownNameError: there is no such hand or finger.
@@ -130,7 +130,7 @@ def checked(request: RetargetRequest) -> RetargetRequest:
 
 
 def request_notes(request: RetargetRequest) -> tuple[str, ...]:
-    """Human-readable notes on features of the method that the hand of a checked request lacks."""
+    """Human-readable notes on what the method lacks for the hand of a checked request."""
     return request.config.notes(_hand(request))
 
 
@@ -172,8 +172,8 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
 
 
 def built_for(todo: Plan) -> tuple[Runner, float]:
-    """Result of ``build``, kept for the next plan of the same hand, configuration and seed;
-    SmoothOperatorError if the method can't be used with the hand."""
+    """Result of ``build``, kept for the next plan with the same hand, configuration and seed.
+    Raises SmoothOperatorError if the method can't be used with the hand."""
     result: tuple[Runner, float] = _shelved(build, todo)
     return result
 

@@ -17,8 +17,8 @@ UPGRADE: Final = "git pull && python -m pip install ."
 
 
 def install_command(extra: str) -> str:
-    """Command that installs an extra, of this distribution or of ``DEVICES``, from the folder of
-    the installation or by name."""
+    """Command that installs an extra of this distribution or of ``DEVICES``: from the source folder
+    if it was installed from one, otherwise by package name."""
     owner = _owner(extra)
     folder, options = _installed_from(owner)
     if folder is None:

@@ -1,4 +1,4 @@
-"""Similarity transforms between point sets, and the axes of a palm, for NumPy and JAX."""
+"""Similarity transforms between point sets, and array helpers that work with NumPy and JAX."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ AnyKind = TypeVar("AnyKind", Array, np.ndarray)
 
 
 def array_namespace(*arrays: Any) -> ModuleType:
-    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one is JAX's, else ``numpy``."""
+    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one of them is a JAX array, else
+    ``numpy``."""
     return jnp if any(isinstance(a, Array) for a in arrays) else np
 
 
@@ -26,7 +27,8 @@ _Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over 
 
 
 class Similarity(NamedTuple, Generic[_Held]):
-    """Similarity transform x -> scale * rotation @ x + translation, and how well it is determined.
+    """Similarity transform x -> scale * rotation @ x + translation, with a measure of how well the
+    points determine it.
 
     Attributes:
         rotation: (..., 3, 3) proper rotation.
@@ -42,7 +44,7 @@ class Similarity(NamedTuple, Generic[_Held]):
     condition: _Held
 
     def apply(self, points: _Held) -> _Held:
-        """Transform (..., n, 3) points."""
+        """Transforms (..., n, 3) points."""
         xp = array_namespace(points, self.scale)
         turned: Any = _product(points, xp.swapaxes(self.rotation, -1, -2), xp)
         moved: _Held = self.scale[..., None, None] * turned + self.translation[..., None, :]
@@ -55,7 +57,7 @@ def umeyama(
     scale: float | AnyArray | None = None,
     weights: AnyArray | None = None,
 ) -> Similarity[AnyKind]:
-    """Least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
+    """Computes the least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
 
     The result is the best rotation, even if the best orthogonal matrix is a reflection. Coplanar
     sets, such as three palm landmarks, are allowed. Without a branch or LAPACK call, the function
@@ -111,14 +113,14 @@ def umeyama(
 
 
 def lengths(vectors: Float[Array, "*n 3"], least: float = 0.0) -> Float[Array, "*n"]:
-    """Lengths of vectors: square roots of the sums of squares plus ``least``, which keeps the
+    """Lengths of vectors: square roots of the sum of squares plus ``least``, which keeps the
     derivative of a zero vector finite."""
     squares = (vectors * vectors).sum(-1)
     return jnp.sqrt(squares + least if least else squares)
 
 
 def smooth_step(share: Array) -> Array:
-    """Smooth step 3 s^2 - 2 s^3 of a share s clipped to 0 to 1; its slope is 0 at both ends."""
+    """Smooth step 3 s^2 - 2 s^3, with s clipped to [0, 1]; its slope is 0 at both ends."""
     share = jnp.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)
 

@@ -1,4 +1,4 @@
-"""Public names of a package, imported on first use.
+"""Imports the public names of a package on first use.
 
 The stub ``__init__.pyi`` of a package is its list of public names: type checkers and editors read
 it, and so does ``public_names``. Importing a package therefore reads only a small file and imports
@@ -24,7 +24,8 @@ _WITH_EXTRA: Final = "teleop"
 def public_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Makes ``__getattr__``, ``__dir__`` and ``__all__`` of a package from the names in its stub.
+    """Makes ``__getattr__``, ``__dir__`` and ``__all__`` of a package from the names in its stub
+    file.
 
     Args:
         package: its ``__name__``.
@@ -57,7 +58,8 @@ def public_names(
 
 
 def stub_imports(path: str) -> dict[str, str]:
-    """Name -> module of each ``from module import name as name`` in a stub."""
+    """Maps each name in a stub to its module, from lines of the form ``from module import name as
+    name``."""
     with open(path, encoding="utf-8") as stream:
         lines = [line.partition("#")[0].translate(_NO_WORD) for line in stream]
     homes: dict[str, str] = {}

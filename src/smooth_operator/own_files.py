@@ -1,4 +1,4 @@
-"""Checks that no other user can write a folder or file, for programs and secrets.
+"""Checks that no other user can write to a folder or file that holds programs or secrets.
 
 The rule is that of OpenSSH for its keys: the file and its folder belong to this user, each folder
 above to this user or root, and others can't write them, except for a sticky folder such as
@@ -30,16 +30,16 @@ _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
 def make_private(folder: Path) -> None:
-    """Create a folder and its missing parents for this user alone; OSError if the folder can't be
-    created."""
+    """Creates a folder and its missing parents with access for this user alone; OSError if the
+    folder can't be created."""
     if not folder.is_dir():
         make_private(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def folder_problem(folder: Path) -> str:
-    """Reason why another user can change a folder's content, with advice; empty if nobody can.
-    OSError if the folder, or one above it, can't be read.
+    """Reason why another user can change a folder's content, with advice; empty if no one else can.
+    Raises OSError if the folder, or one above it, can't be read.
 
     The check goes from the root down, because no other user can replace a folder in a safe one.
     """
@@ -62,8 +62,9 @@ def folder_problem(folder: Path) -> str:
 
 
 def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) -> str:
-    """Reason not to use a file with this status; empty if it is a regular file of this user and not
-    too long. If it is ``secret``, others must not be able to read it either."""
+    """Reason why a file with this status should not be used; empty if it is a regular file that
+    belongs to this user and is not too long. If it is ``secret``, other users must not be able to
+    read it."""
     if not stat.S_ISREG(status.st_mode):
         return "it is not a plain file"
     if hasattr(os, "geteuid"):
@@ -77,7 +78,7 @@ def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) 
 
 
 def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
-    """Read a file of this user, without following links and without waiting for a pipe.
+    """Reads a file of this user, without following links and without waiting for a pipe.
 
     Raises:
         OSError: there is no such file, it is a link, or it can't be read.
@@ -96,8 +97,8 @@ def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
 
 @functools.cache
 def own_folder(folder: Path) -> Path | None:
-    """Returns a folder with its links resolved, and creates it if necessary; None if it is not
-    writable, or, with a warning, if another user can write to it."""
+    """Returns a folder with its links resolved, and creates it if necessary. Returns None if the
+    folder is not writable or, with a warning, if another user can write to it."""
     try:
         make_private(folder)
         problem = folder_problem(folder)
@@ -124,7 +125,7 @@ def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
 
 
 def make_room(folder: Path, most_bytes: int = MOST_BYTES) -> None:
-    """Removes the files that were not used for longest, until the folder is small enough."""
+    """Removes the least recently used files until the folder is small enough."""
     for each, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime):
         most_bytes -= status.st_size
         if most_bytes < 0:

@@ -1,4 +1,4 @@
-"""Requests of a user and their plans: resolves names, scale and pinch gaps."""
+"""A user's requests, and the plans made from them: resolves names, scale and pinch gaps."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class MethodChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class RetargetRequest(MethodChoice):
-    """Request to retarget one recording or several; see ``make_request``.
+    """Request to retarget one or several recordings; see ``make_request``.
 
     Attributes:
         hand: name of the robot hand, or its description.
@@ -92,7 +92,8 @@ class RetargetRequest(MethodChoice):
     wrist_joints: bool = False
 
     def known_gaps(self, tracker: Mapping[str, float] = NO_GAPS) -> Mapping[str, float] | None:
-        """``pinch_gaps`` for a retargeter: those of the operator, otherwise those of the tracker.
+        """Returns the pinch gaps that a retargeter should assume: those of the operator or, if
+        unknown, those of the tracker.
 
         Args:
             tracker: known gaps of a live source's tracker [palm lengths].
@@ -103,7 +104,8 @@ class RetargetRequest(MethodChoice):
         return {**(MEDIAPIPE if self.pinch_gaps == "mediapipe" else tracker), **own}
 
     def of(self, side: Side) -> RetargetRequest:
-        """The request for one of two hands: without the profile of the other hand."""
+        """Returns the request for one side, without the operator profile if that belongs to the
+        other hand."""
         if self.operator is None or self.operator.side == side:
             return self
         return replace(self, operator=None)
@@ -143,8 +145,8 @@ class RetargetRequest(MethodChoice):
         return load_hand(hand, side, fingers=self.fingers)
 
     def commanded(self, hand: Hand) -> Hand:
-        """A loaded hand with the joints that are commanded; HandModelError if its wrist joints
-        can't be commanded."""
+        """Returns a loaded hand with the joints that are commanded, including wrist joints if
+        requested. Raises HandModelError if its wrist joints can't be commanded."""
         return with_wrist_joints(hand) if self.wrist_joints else hand
 
 
@@ -190,12 +192,12 @@ def make_request(
 
 
 def content_of(spec: HandSpec) -> tuple[HandSpec, str]:
-    """The description of a hand and the digest of its model, without the model's folder."""
+    """Returns the description of a hand and the digest of its model, without the model's folder."""
     return replace(spec, model=Path(spec.model.name)), content_digest(spec.model)
 
 
 def code_of_commands(request: RetargetRequest, *more: str) -> str:
-    """Digest of the code and the hands that determine the commands of a request.
+    """Digest of the code and of the hands on which the commands of a request depend.
 
     It covers this package's code from the reader of a file to the commands, the code of plugins for
     methods and readers, the versions of the numerical libraries, and the descriptions and models of
@@ -217,7 +219,7 @@ def code_of_commands(request: RetargetRequest, *more: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan(MethodChoice):
-    """A request with all names resolved, for one recording; the configuration has the scale.
+    """A request for one recording, with all names resolved and the scale set in its configuration.
 
     Attributes:
         recording: the human hand.
@@ -251,7 +253,7 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
 def resolve(
     request: RetargetRequest, side: Side, recording: HandRecording | None = None
 ) -> tuple[Hand, MethodConfig]:
-    """Returns the requested hand, and its configuration with the scale.
+    """Returns the requested hand, and its configuration with the scale set.
 
     Args:
         recording: recording for the calibration of a scale; None in live use.
@@ -266,7 +268,7 @@ def resolve(
 def resolve_config(
     request: RetargetRequest, robot: Hand, recording: HandRecording | None = None
 ) -> MethodConfig:
-    """Returns the requested configuration with the scale, for a loaded hand.
+    """Returns the requested configuration with the scale set, for a loaded hand.
 
     Raises:
         ConfigError, RecordingError: as ``plan``.
@@ -289,7 +291,8 @@ def resolve_config(
 
 
 def read_configuration(path: Path) -> dict[str, Any] | None:
-    """Reads a configuration that this program wrote; None for a missing or any other file."""
+    """Reads a configuration that this program wrote. Returns None if the file is missing or is
+    something else."""
     try:
         content = read_json(path, most_bytes=_MOST_BYTES)
     except (OSError, ValueError):
@@ -299,8 +302,8 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 
 
 def foreign_result(path: Path) -> str | None:
-    """Reason why ``OUT.npz`` and its configuration can't be written: one of the files exists and is
-    not an earlier result. None if they can be written."""
+    """Reason why ``OUT.npz`` and its configuration can't be written, which is that one of the files
+    exists and is not an earlier result. None if they can be written."""
     settings_file = config_path(path)
     for existing in (path, settings_file):
         if existing.exists() and not existing.is_file():
@@ -327,7 +330,7 @@ _ELSEWHERE: Final = "choose another name, or remove the file first"
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
-    """The resolved configuration of a plan, which is written with its result."""
+    """Resolved configuration of a plan, which is written with the plan's result."""
     recording = todo.recording
     about = {
         "name": recording.name,
@@ -345,7 +348,7 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
 def live_configuration(
     command: str, request: RetargetRequest, configs: Mapping[Side, MethodConfig], **more: Any
 ) -> dict[str, Any]:
-    """Resolved configuration of a run without a recording.
+    """Resolved configuration of a run that does not retarget a recording, such as a live run.
 
     Args:
         configs: configuration of the method by side, from ``resolve``.

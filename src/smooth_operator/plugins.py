@@ -1,4 +1,5 @@
-"""Registries of methods, hands, sources, sinks, readers, metrics and commands, open to plugins.
+"""Registries of methods, hands, sources, sinks, readers, metrics and commands, to which plugins can
+add.
 
 A name denotes a built-in part, or a part that an installed distribution offers under the entry
 point group ``smooth_operator.<kind>s``, or it has the form ``package.module:attribute``. A part is
@@ -31,7 +32,7 @@ _TARGET: Final = re.compile(r"(?P<module>[^\W\d]\w*(\.[^\W\d]\w*)*):(?P<attribut
 
 @dataclass(frozen=True)
 class Entry:
-    """One named part.
+    """A named part of a registry, such as a method or a reader.
 
     Attributes:
         target: location of the object, ``package.module:attribute``.
@@ -94,8 +95,8 @@ def _note_once(text: str) -> None:
 
 
 class Registry(Mapping[str, Entry]):
-    """Registry of the parts of one kind by name: built-in parts first, then those of installed
-    distributions, which can't replace them.
+    """Registry of one kind of part by name. Built-in parts come first, then those of installed
+    distributions, which can't replace built-in ones.
 
     Args:
         kind: kind of part, for messages, such as ``sink``.
@@ -124,12 +125,13 @@ class Registry(Mapping[str, Entry]):
 
     @property
     def group(self) -> str:
-        """Entry point group in which distributions offer parts of this kind."""
+        """Entry-point group in which distributions declare parts of this kind."""
         return f"{PREFIX}{self.kind}s"
 
     @property
     def plugins(self) -> dict[str, Entry]:
-        """Maps names to the parts of installed distributions and to added parts."""
+        """Maps the names of parts to the parts that come from installed distributions or were
+        added."""
         offered = _installed(self.group) | self._added
         return {
             name: replace(offered[name], summary=self.summaries.get(name, offered[name].summary))
@@ -166,8 +168,9 @@ class Registry(Mapping[str, Entry]):
         return (target[0], after[1:]) if not after or after[0] in ":," else (name, rest)
 
     def find(self, name: str) -> Entry:
-        """Returns the part with a name, or that of ``package.module:attribute``; UnknownNameError,
-        or ConfigError for a name of a distribution that is not installed."""
+        """Returns the entry with this name, or the one at ``package.module:attribute``. Raises
+        UnknownNameError if there is none, and ConfigError if it belongs to a distribution that is
+        not installed."""
         if name in self:
             return self[name]
         if is_target(name):
@@ -177,7 +180,8 @@ class Registry(Mapping[str, Entry]):
         raise UnknownNameError(self.kind, name, self)
 
     def load(self, name: str) -> Any:
-        """Imports and returns the object with a name; errors as ``find`` and ``Entry.load``."""
+        """Imports and returns the object with this name. Raises the same errors as ``find`` and
+        ``Entry.load``."""
         entry = self.find(name)
         if name in self:
             return entry.load()
@@ -187,8 +191,8 @@ class Registry(Mapping[str, Entry]):
             raise ConfigError(f"{error}. Available {self.kind}s: {', '.join(self)}") from error
 
     def loadable(self, load: Callable[[str], _Part] | None = None) -> dict[str, _Part]:
-        """Maps the name of every part to its object, by ``load`` or ``Registry.load``; skips parts
-        of plugins that can't be loaded, with a note on standard error."""
+        """Maps the name of every part to its object, loaded with ``load`` or ``Registry.load``.
+        Parts of plugins that can't be loaded are skipped, with a note on standard error."""
         parts: dict[str, _Part] = {}
         for name in self:
             try:
@@ -200,7 +204,8 @@ class Registry(Mapping[str, Entry]):
         return parts
 
     def check(self, name: str, part: object) -> None:
-        """ConfigError for an object that lacks an attribute in ``needs``, or an abstract class."""
+        """Raises ConfigError for an abstract class, or for an object that lacks an attribute in
+        ``needs``."""
         missing = (
             sorted(getattr(part, "__abstractmethods__", ()))
             if isinstance(part, type)
@@ -222,7 +227,7 @@ class Registry(Mapping[str, Entry]):
 
 
 def is_target(text: str) -> bool:
-    """Returns True for ``package.module:attribute``. A module without a dot must exist.
+    """True for text of the form ``package.module:attribute``. A module without a dot must exist.
 
     Therefore a misspelt name with an argument (``repaly:glove.npz``) is not mistaken for a module.
     If the module is in the current folder, that folder is appended to Python's search path.

@@ -1,4 +1,4 @@
-"""Rigid poses of the wrist: their algebra, and conversion from trackers' frames to the project's.
+"""Rigid wrist poses: operations on them, and conversion from trackers' frames to the project's.
 
 A pose is seven numbers, x y z [m] and a unit quaternion w x y z; ``T_a_b`` maps points of frame b
 to frame a. All functions take (..., 7) arrays, return float64, and give NaN for a row with NaN,
@@ -92,7 +92,8 @@ def to_ours(
     world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"],
     wrist: Float[np.ndarray, "3 3"] = WRIST_AXES["openxr"],
 ) -> Float[np.ndarray, "*n 7"]:
-    """Converts poses of a tracker's wrist in its world to poses of our wrist in our z-up world.
+    """Converts poses of a tracker's wrist in the tracker's world to poses of our wrist in our z-up
+    world.
 
     Args:
         poses: (..., 7) x y z [m], quaternion w x y z of any length, as the tracker reports them.
@@ -114,9 +115,8 @@ def to_ours(
 def points_to_ours(
     points: ArrayLike, world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Converts (..., 3) points of a tracker's world to our z-up, right-handed world, in the same
-    unit.
-    """
+    """Converts (..., 3) points from a tracker's world to our z-up, right-handed world, in the same
+    unit."""
     moved: np.ndarray = np.asarray(points, np.float64) @ world.T
     return moved
 
@@ -140,8 +140,8 @@ def wrist_from_landmarks(
 
 
 def forearm(elbow: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Unit vectors from elbow to wrist in the wrist's frame, from a point of the forearm in that
-    frame [m]; NaN if the point is missing or less than 5 cm from the wrist."""
+    """Unit vectors from elbow to wrist in the wrist's frame, computed from a point of the forearm
+    in that frame [m]; NaN if the point is missing or less than 5 cm from the wrist."""
     distance = np.linalg.norm(elbow, axis=-1, keepdims=True)
     return np.where(distance > _SHORTEST_FOREARM, -_unit(elbow), np.nan)
 
@@ -152,7 +152,8 @@ _SHORTEST_FOREARM: Final = 0.05
 def forearm_in_world(
     wrist: Float[np.ndarray, "*n 7"], elbow: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """``forearm`` from the pose of the wrist and a point of the forearm in the same world [m]."""
+    """Computes ``forearm`` from the wrist pose and a point of the forearm, both in the same world
+    frame [m]."""
     return forearm(rotate(conjugate(wrist[..., 3:]), elbow - wrist[..., :3]))
 
 
@@ -162,37 +163,38 @@ def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
 
 
 def is_valid(poses: Float[np.ndarray, "*n 7"] | None) -> Bool[np.ndarray, "*n"]:
-    """True for each valid pose; False for None, the pose of a tracker without wrists."""
+    """True for each valid pose; False for None, which stands for the pose of a tracker without
+    wrists."""
     return np.asarray(np.isfinite(np.full(7, np.nan) if poses is None else poses).all(axis=-1))
 
 
 def compose(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """Pose ``T_x_z``, from ``T_x_y`` and ``T_y_z``."""
+    """Computes the pose ``T_x_z`` from ``T_x_y`` and ``T_y_z``."""
     return np.concatenate(
         [a[..., :3] + rotate(a[..., 3:], b[..., :3]), multiply(a[..., 3:], b[..., 3:])], axis=-1
     )
 
 
 def invert(pose: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """Pose ``T_y_x``, from ``T_x_y``."""
+    """Computes the pose ``T_y_x`` from ``T_x_y``."""
     back = conjugate(pose[..., 3:])
     return np.concatenate([-rotate(back, pose[..., :3]), back], axis=-1)
 
 
 def relative(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """Pose ``T_a_b``, from the poses of a and b in one frame."""
+    """Computes the pose ``T_a_b`` from the poses of a and b in one frame."""
     return compose(invert(a), b)
 
 
 def separation(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """(..., 2) distance [m] and angle from 0 to pi [rad] between two poses."""
+    """(..., 2) distance [m] and angle [rad], from 0 to pi, between two poses."""
     distance = np.linalg.norm(b[..., :3] - a[..., :3], axis=-1)
     angle = np.linalg.norm(rotation_vectors(multiply(conjugate(a[..., 3:]), b[..., 3:])), axis=-1)
     return np.stack([distance, angle], axis=-1)
 
 
 def matrices(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
-    """Homogeneous matrices."""
+    """Converts poses to homogeneous matrices."""
     out = np.zeros((*poses.shape[:-1], 4, 4))
     out[..., :3, :3] = rotation_matrices(poses[..., 3:])
     out[..., :3, 3] = poses[..., :3]
@@ -213,12 +215,12 @@ def is_rigid(matrix: Float[np.ndarray, "*n 4 4"]) -> Bool[np.ndarray, "*n"]:
 
 
 def from_matrices(matrix: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:
-    """Poses of homogeneous matrices with a proper rotation."""
+    """Converts homogeneous matrices with a proper rotation to poses."""
     return np.concatenate([matrix[..., :3, 3], quaternions(matrix[..., :3, :3])], axis=-1)
 
 
 def multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"]) -> np.ndarray:
-    """Product of quaternions: rotates by b, then by a."""
+    """Multiplies quaternions: the product rotates by b, then by a."""
     if a.ndim == b.ndim == 1:  # in the live loop; arrays take five times as long for one pair
         w, x, y, z = a.tolist()
         e, f, g, h = b.tolist()
@@ -236,13 +238,13 @@ def multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"]) -> np.n
 
 
 def conjugate(q: Float[np.ndarray, "*n 4"]) -> np.ndarray:
-    """The inverse of a unit quaternion."""
+    """Inverts unit quaternions."""
     inverse: np.ndarray = q * np.array([1.0, -1.0, -1.0, -1.0])
     return inverse
 
 
 def rotate(q: Float[np.ndarray, "*n 4"], points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
-    """Points rotated by unit quaternions."""
+    """Rotates points by unit quaternions."""
     turn = 2.0 * _cross(q[..., 1:], points)
     turned: np.ndarray = points + q[..., :1] * turn + _cross(q[..., 1:], turn)
     return turned
@@ -255,7 +257,8 @@ def _cross(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> np.nda
 
 
 def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
-    """Axis times angle (0 to pi) of unit quaternions [rad]; q and -q give the same."""
+    """Converts unit quaternions to axis times angle (0 to pi) [rad]; q and -q give the same
+    result."""
     if q.ndim == 1:
         w, x, y, z = q.tolist()
         length = math.sqrt(x * x + y * y + z * z)
@@ -274,7 +277,7 @@ def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
 
 
 def from_rotation_vectors(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
-    """Unit quaternions, from axis times angle [rad]."""
+    """Converts axis times angle [rad] to unit quaternions."""
     if vectors.ndim == 1:
         x, y, z = vectors.tolist()
         half = math.sqrt(x * x + y * y + z * z) / 2.0
@@ -290,13 +293,13 @@ def from_rotation_vectors(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
 
 
 def rotation_matrices(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
-    """Matrices of unit quaternions."""
+    """Converts unit quaternions to rotation matrices."""
     columns = [rotate(q, np.broadcast_to(e, (*q.shape[:-1], 3))) for e in np.eye(3)]
     return np.stack(columns, axis=-1)
 
 
 def quaternions(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
-    """Unit quaternions with w >= 0 of proper rotation matrices."""
+    """Converts proper rotation matrices to unit quaternions with w >= 0."""
     m = np.moveaxis(np.asarray(rotation, np.float64), (-2, -1), (0, 1))
     (a, b, c), (d, e, f), (g, h, i) = m
     # 4 q q^T; the row of its largest diagonal entry loses no digits (Shepperd 1978)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 
 class Advance(Protocol):
-    """Function that reports completed pieces of work."""
+    """Function that reports how much work has been completed."""
 
     def __call__(
         self, count: int = 1, *, label: str = "", reason: str | None = None, extra: str = ""
@@ -24,21 +24,21 @@ class Advance(Protocol):
 
 
 class Reporter:
-    """Receives progress and notes of a run and shows nothing; a subclass can show them."""
+    """Receives the progress and notes of a run and ignores them; a subclass can show them."""
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """Shows a line; a line that ``matters`` is shown in quiet mode too."""
+        """Reports a line; a line that ``matters`` is shown in quiet mode too."""
 
     def waiting(self, text: str) -> AbstractContextManager[None]:
-        """Shows, inside the block, that a task of unknown length is running."""
+        """Reports, for the duration of the block, that a task of unknown length is running."""
         return nullcontext()
 
     @contextmanager
     def counting(
         self, name: str, total: int, unit: str, *, done: int = 0, in_files: bool = False
     ) -> Iterator[Advance]:
-        """Shows, inside the block, how many pieces of work are done; yields the function that
-        counts them.
+        """Reports, for the duration of the block, how many pieces of work are done. Yields the
+        function that counts them.
 
         Args:
             name: name of the work; empty for none.

@@ -1,5 +1,5 @@
 """Settings that all kinds of retargeting share. Commands parse them, and library functions take
-them."""
+them as arguments."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ wrist as a whole is for an arm."""
 
 @dataclass(frozen=True, kw_only=True)
 class MethodRequest:
-    """A robot hand and the method that drives it, as named by a user."""
+    """A robot hand and the method that drives it, as the user named them."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Catalogue name of the robot hand."""
@@ -70,13 +70,13 @@ class MethodRequest:
     pinch_gaps: Annotated[PinchGapChoice, arg(help=PINCH_GAPS_HELP)] = "tracker"
 
     def settings(self) -> dict[str, Any]:
-        """Returns the settings by name, for ``make_request``."""
+        """Returns the settings by name, as arguments for ``make_request``."""
         return {each.name: getattr(self, each.name) for each in fields(MethodRequest)}
 
 
 def parse_fingers(text: str) -> dict[str, str]:
-    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky;
-    HandModelError if a part of it is empty, or a finger is named twice."""
+    """Parses a choice of fingers: in ``thumb,index,pinky=ring``, the human ring finger drives the
+    robot's pinky. Raises HandModelError if an entry is empty, or a finger is named twice."""
     choice: dict[str, str] = {}
     for part in text.split(","):
         robot, sign, human = (word.strip() for word in part.partition("="))

@@ -1,4 +1,4 @@
-"""Store of the results of long computations in a folder, reused while they are valid.
+"""Stores the results of long computations in a folder, and reuses them while they are valid.
 
 A result has a key, which is any JSON, and the digest of the code that computed it. The key holds
 the settings and the digest of the input, so a result is used again only if input, settings and code
@@ -38,12 +38,12 @@ MOST_BYTES: Final = 100_000_000
 
 
 def key_digest(key: object) -> str:
-    """SHA-256 of a value with a JSON form, in hexadecimal."""
+    """SHA-256 digest of a value that can be written as JSON, in hexadecimal."""
     return hashlib.sha256(to_json(key).encode()).hexdigest()
 
 
 def content_digest(content: bytes | Path) -> str:
-    """SHA-256 of some bytes or of a file, in hexadecimal."""
+    """SHA-256 digest of some bytes or of a file, in hexadecimal."""
     if isinstance(content, bytes):
         return hashlib.sha256(content).hexdigest()
     with content.open("rb") as stream:
@@ -51,7 +51,8 @@ def content_digest(content: bytes | Path) -> str:
 
 
 def outside_code(*parts: Any) -> list[str]:
-    """Digests of the packages from other distributions, such as plugins, that provide parts.
+    """Digests of the packages from other distributions, such as plugins, that provide parts of
+    registries.
 
     Args:
         parts: objects with a module, or names of modules; these are not imported.
@@ -86,11 +87,12 @@ def _file_of(package: str) -> Path | None:
 
 
 def no_note(text: str) -> None:
-    """A ``Note`` that shows nothing."""
+    """``Note`` function that shows nothing."""
 
 
 class ResultStore(ABC):
-    """Base of a store of results, which counts the results that other code computed."""
+    """Base class of result stores; it counts the stored results that another version of the code
+    computed."""
 
     def __init__(self, place: Path, note: Note) -> None:
         self._place, self.note = place, note
@@ -98,14 +100,15 @@ class ResultStore(ABC):
 
     @abstractmethod
     def find(self, name: str, key: object, code: str) -> Any | None:
-        """Returns the stored result of a key and a digest of code, or None."""
+        """Returns the result stored for a key and a code digest, or None."""
 
     @abstractmethod
     def keep(self, name: str, key: object, code: str, value: Any) -> None:
         """Stores a result under a name; OutputError if it can't be written."""
 
     def note_outdated(self) -> None:
-        """Reports how many results since the last call were computed by other code."""
+        """Reports how many results, since the last call, another version of the code had
+        computed."""
         if self._outdated:
             results = "1 result" if self._outdated == 1 else f"{self._outdated} results"
             self.note(
@@ -116,7 +119,7 @@ class ResultStore(ABC):
 
 
 class ResultCache(ResultStore):
-    """Store of results as JSON files in a folder.
+    """Stores results as JSON files in a folder.
 
     A stored result is valid for its key and its digest of the code. A file that is damaged, or from
     other code, counts as missing, and the next result of that name replaces it. Files are replaced
@@ -141,12 +144,12 @@ class ResultCache(ResultStore):
             raise output_error(folder, error) from error
 
     def path(self, name: str) -> Path:
-        """File of a result."""
+        """File in which a result is stored."""
         return self.folder / f"{name}{self.suffix}"
 
     def find(self, name: str, key: object, code: str) -> Any | None:
-        """Returns the stored result of a key and a digest of code; None if there is no undamaged
-        one.
+        """Returns the result stored for a key and a code digest, or None if it is missing or
+        damaged.
 
         The key is everything except code that the result depends on, and has a JSON form."""
         path = self.path(name)
@@ -176,7 +179,7 @@ class ResultCache(ResultStore):
         return value
 
     def keep(self, name: str, key: object, code: str, value: Any) -> None:
-        """Writes a result under a name (a file name without suffix), and flushes it to the disk.
+        """Stores a result under a name (a file name without suffix), and flushes it to disk.
 
         Key and code are as in ``find``.
 
@@ -222,7 +225,7 @@ class Job(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class JobResult(Generic[T]):
-    """The result of a job.
+    """The result of a job, and whether it was already stored.
 
     Attributes:
         job: the job.
@@ -242,7 +245,7 @@ class JobResult(Generic[T]):
 def find_results(
     jobs: Sequence[Job[T]], cache: ResultStore
 ) -> tuple[list[JobResult[T]], list[Job[T]]]:
-    """Returns the stored results of jobs, and the jobs that have none."""
+    """Returns the stored results of jobs, and the jobs that have no stored result."""
     finished, missing = [], []
     for job in jobs:
         value = cache.find(job.name, job.key, job.code)
@@ -255,9 +258,8 @@ def find_results(
 
 
 def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
-    """Sorts jobs by decreasing effort, so that no worker starts a long one when the others are
-    done.
-    """
+    """Sorts jobs by decreasing effort, so that no worker starts a long one when the others have
+    finished."""
     return sorted(jobs, key=lambda job: -job.effort)
 
 
@@ -267,7 +269,7 @@ def compute_results(
     execute: Execute[T],
     value: Callable[[Job[T], TaskResult[Any]], Any] = lambda _, result: result.value,
 ) -> Iterator[JobResult[T]]:
-    """Computes jobs, and stores each result as soon as it is available.
+    """Runs jobs, and stores each result as soon as it is available.
 
     Args:
         jobs: computations in the order of their starts.

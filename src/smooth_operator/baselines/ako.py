@@ -1,5 +1,6 @@
-"""Targets and penalties of AKO, "Analyzing Key Objectives" (Xin et al. 2025): a sigmoid of the
-distance to the thumb instead of DexPilot's latch, and smooth-L1 of the weighted error's length."""
+"""Targets and penalties of AKO, "Analyzing Key Objectives" (Xin et al. 2025). AKO weights each
+finger by a sigmoid of its distance to the thumb instead of DexPilot's latch, and applies smooth-L1
+to the length of the weighted error."""
 
 from __future__ import annotations
 
@@ -32,8 +33,8 @@ _TINY_AREA: Final = 1e-12  # so that a length has a derivative at 0 [m^2]
 
 @dataclass(frozen=True)
 class PinchLayout(VectorLayout):
-    """Vectors from the wrist to each tip (F), from the thumb's tip to the other tips (F - 1), and
-    from the last joint to the tip of each finger (F).
+    """AKO's vectors: from the wrist to each tip (F), from the thumb's tip to the other tips (F -
+    1), and from the last joint to the tip of each finger (F).
 
     Attributes:
         fingers: human finger names, thumb first.
@@ -43,7 +44,7 @@ class PinchLayout(VectorLayout):
 
     @cached_property
     def vectors(self) -> tuple[tuple[int | None, int], ...]:
-        """(K,) (from, to) landmark indices."""
+        """Landmark indices of the (K,) vectors, each as (from, to)."""
         tips = tips_of(self.fingers)
         return (
             *((WRIST, tip) for tip in tips),
@@ -54,7 +55,7 @@ class PinchLayout(VectorLayout):
 
 @dataclass(frozen=True)
 class AkoTargets(StatelessTargets[PinchLayout]):
-    """Targets and weights of AKO.
+    """Computes the target vectors of AKO and their weights.
 
     Attributes:
         w_thumb_wrist: weight of wrist to thumb tip, before switching.
@@ -89,7 +90,7 @@ class AkoTargets(StatelessTargets[PinchLayout]):
             )
 
     def layout(self, fingers: tuple[str, ...]) -> PinchLayout:
-        """AKO's vectors."""
+        """Returns AKO's vectors for these fingers."""
         return PinchLayout(fingers)
 
     def __call__(
@@ -118,16 +119,17 @@ class AkoTargets(StatelessTargets[PinchLayout]):
 
 
 class NormKeyvectors(Keyvectors):
-    """Smooth-L1 of the weight times the length of the error."""
+    """Cost term: smooth-L1 of the weight times the length of a vector's error."""
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """See ``Keyvectors``."""
+        """Returns the cost of one vector, as ``Keyvectors.price`` does."""
         x, y, z = error
         length = jnp.sqrt(x * x + y * y + z * z + _TINY_AREA)
         return smooth_l1(weight * length, self.transition)[0]
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
-        """See ``VectorTerm``; exact except at the kink of smooth-L1."""
+        """Returns costs and derivatives, as ``VectorTerm.slopes`` does; exact except at the kink of
+        smooth-L1."""
         weights = jnp.asarray(goal.weights)
         length = jnp.sqrt((errors * errors).sum(axis=-1) + _TINY_AREA)
         unit = errors / length[:, None]
@@ -144,7 +146,7 @@ class NormKeyvectors(Keyvectors):
 
 @dataclass(frozen=True, eq=False)
 class SmoothL1Velocity(JointTerm):
-    """Smooth-L1 of the weight times the change of each joint.
+    """Cost term: smooth-L1 of the weight times the change of each joint.
 
     Attributes:
         transition: change at which smooth-L1 changes from quadratic to linear [rad].
@@ -153,7 +155,7 @@ class SmoothL1Velocity(JointTerm):
     transition: float
 
     def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
-        """See ``JointTerm``."""
+        """Returns cost and derivatives, as ``JointTerm.expand`` does."""
         weight: Any = goal.velocity_weight
         change = weight * (q - goal.previous)
         cost, first, second = smooth_l1(change, self.transition)
@@ -165,9 +167,10 @@ class AkoObjectiveConfig(ObjectiveConfig):
     """Settings of AKO's objective, which has its own penalties on vectors and joint changes."""
 
     def keyvectors(self, layout: VectorLayout) -> Keyvectors:
-        """Smooth-L1 of the weight times the length of each error."""
+        """Returns the term for vectors: smooth-L1 of the weight times the length of each error."""
         return NormKeyvectors(layout, self.transition)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
-        """Pull to a pose, and smooth-L1 of the weight times the change of each joint."""
+        """Returns the terms on joints: the pull to a pose, and smooth-L1 of the weight times the
+        change of each joint."""
         return super().pulls(neutral)[0], SmoothL1Velocity(self.transition)

@@ -57,7 +57,7 @@ from smooth_operator.retargeting.sbr.sampled import SampledObjective
 
 
 class JointAngleMap:
-    """A hand's map from aligned landmarks to joint positions.
+    """Map from aligned landmarks to joint positions, for one robot hand.
 
     Attributes:
         hand: the robot hand.
@@ -82,8 +82,9 @@ class JointAngleMap:
         )
 
     def positions(self, aligned: Float[AnyKind, "*batch 21 3"]) -> Float[AnyKind, "*batch m"]:
-        """(..., m) positions of the actuated joints within their limits [rad], for (..., 21, 3)
-        landmarks in the palm frame [m], finite in ``needs``; NumPy or JAX."""
+        """Computes (..., m) positions of the actuated joints within their limits [rad] from (...,
+        21, 3) landmarks in the palm frame [m]. The landmarks in ``needs`` must be finite. For NumPy
+        and JAX."""
         xp = array_namespace(aligned)
         angles = joint_angles(aligned, self.axes)
         # Landmarks outside ``needs`` may be NaN, and 0 x NaN is NaN.
@@ -97,7 +98,7 @@ class JointAngleMap:
 
 @dataclass(frozen=True)
 class JointAngleConfig(MethodConfig):
-    """Settings of the joint-angle method; the map belongs to the hand.
+    """Settings of the joint-angle method. The map itself is part of the hand's description.
 
     Attributes:
         alignment: alignment of human landmarks to the palm frame; its scale changes no angle.
@@ -106,14 +107,15 @@ class JointAngleConfig(MethodConfig):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
 
     def build(self, hand: Hand) -> JointAngle:
-        """The method for one hand; errors as ``JointAngleMap``."""
+        """Builds the method for one hand. Raises the same errors as ``JointAngleMap``."""
         method = JointAngle(hand, self)
         _ = method.map  # raises its errors here
         return method
 
 
 class JointAngleState(NamedTuple):
-    """The (m,) last command [rad], on which the next one does not depend."""
+    """State of the joint-angle method: the (m,) last command [rad], which is held while the hand is
+    lost. The next command does not depend on it."""
 
     q: Float[Array, " m"]
 
@@ -127,17 +129,18 @@ class JointAngle(Method):
 
     @cached_property
     def map(self) -> JointAngleMap:
-        """Map from human joint angles to joint positions."""
+        """The map from human joint angles to joint positions of this hand."""
         return JointAngleMap(self.hand)
 
     @cached_property
     def objective(self) -> SampledObjective:
-        """Objective for the tracking loss only; nothing is minimised."""
+        """Objective from which only the tracking loss is computed; the method minimises nothing."""
         return SampledObjective(self.hand, ObjectiveConfig(targets=PlainTargets()))
 
     @cached_property
     def needs(self) -> tuple[int, ...]:
-        """All landmarks of the mapped fingers, and those of the keyvectors."""
+        """Indices of the landmarks of the mapped fingers, and of the landmarks of the
+        keyvectors."""
         return tuple(sorted({*self.map.needs, *self.objective.layout.landmarks}))
 
     def init(self, seed: int) -> JointAngleState:
@@ -167,7 +170,7 @@ _SLIGHT = 0.1  # smallest gain that counts, relative to the largest of its row
 
 
 def joint_map(hand: Hand) -> tuple[JointMap, ...]:
-    """Rows of the map for all actuated joints, in their order.
+    """Rows of the joint-angle map for all actuated joints, in the order of the joints.
 
     Rows of the hand's description are used unchanged. The others are derived: the effects of each
     joint on each angle, as medians over poses across the joints' ranges, form a matrix, and its
@@ -214,7 +217,7 @@ def robot_joint_angles(
 def map_matrix(
     rows: Sequence[JointMap],
 ) -> tuple[Float[np.ndarray, "m 20"], Float[np.ndarray, " m"]]:
-    """Gains and offsets of a map."""
+    """Converts the rows of a map to arrays of gains and offsets."""
     gains = [[row.gains.get(angle, 0.0) for angle in JOINT_ANGLES] for row in rows]
     return np.array(gains), np.array([row.offset for row in rows])
 
@@ -381,7 +384,8 @@ gain."""
 
 
 class PublishedAngles:
-    """Joint-angle map of the paper's authors, which gives the start of their hybrid baseline.
+    """Joint-angle map of the authors of the Smooth Operator paper, which provides the starting
+    point of their hybrid baseline.
 
     Each finger is a chain of frames from the wrist, with y axes along the bones and x axes as close
     as possible to those of the parent. A joint of the mimic P0.50 hand follows one Euler angle of

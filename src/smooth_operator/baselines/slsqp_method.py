@@ -93,8 +93,8 @@ def slsqp_minimise(
     limits: Float[np.ndarray, "m 2"],
     config: SlsqpConfig,
 ) -> SlsqpResult:
-    """Minimises an objective within (m, 2) bounds, from a start that is clipped to them. The result
-    is the last point, as in published code."""
+    """Minimises an objective within (m, 2) bounds with SLSQP, from a start that is clipped to the
+    bounds. Returns the last point, as the published code does."""
     from scipy.optimize import minimize  # here, since the import takes half a second
 
     low, high = limits[:, 0], limits[:, 1]
@@ -145,8 +145,8 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
         check_choice(self, "start", ("previous", "published_angles"))
 
     def build(self, hand: Hand) -> SlsqpMethod:
-        """The method for one hand; SmoothOperatorError if the hand lacks points or a map of joint
-        angles that it needs."""
+        """Builds the method for one hand. Raises SmoothOperatorError if the hand lacks points or a
+        joint-angle map that the method needs."""
         method = SlsqpMethod(hand, self)
         _ = method.needs  # raises its errors here
         return method
@@ -165,7 +165,8 @@ class SlsqpMethodState(NamedTuple):
 
 
 class SlsqpProblem(NamedTuple):
-    """Optimisation problem of one frame, in few arrays, because each array costs 2 to 5 us.
+    """Optimisation problem of one frame. It is packed into few arrays, because each array costs 2
+    to 5 us.
 
     Attributes:
         targets: vectors and weights of the frame.
@@ -182,8 +183,8 @@ class SlsqpProblem(NamedTuple):
 
 
 class SlsqpMethod(Method):
-    """A method solved by SLSQP, for one hand. Its program is compiled up to the solver, and
-    continues in plain Python."""
+    """A retargeting method that minimises its objective with SLSQP, for one hand. The steps before
+    the solver are compiled; the solver runs in plain Python."""
 
     on_host = True
 
@@ -192,7 +193,8 @@ class SlsqpMethod(Method):
         self._compiling: Compiling = lambda function, _: jax.jit(function)
 
     def program(self, alignment: AlignmentConfig, compiling: Compiling) -> Program:
-        """The program of one frame, with a function that compiles its parts."""
+        """Returns the program of one frame; ``compiling`` is the function that compiles its
+        parts."""
 
         def prepare(state: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
             frame = align_frame(self, alignment, landmarks, valid)
@@ -225,12 +227,13 @@ class SlsqpMethod(Method):
 
     @cached_property
     def objective(self) -> SampledObjective:
-        """The minimised objective."""
+        """The objective that the method minimises."""
         return SampledObjective(self.hand, self.config.objective)
 
     @cached_property
     def joint_angles(self) -> JointAngleMap | PublishedAngles | None:
-        """Map that gives the start of the search; None for the previous command."""
+        """Joint-angle map that provides the start of the search; None to start from the previous
+        command."""
         if self.config.start == "previous":
             return None
         fits = PublishedAngles.fits(self.hand)
@@ -238,14 +241,15 @@ class SlsqpMethod(Method):
 
     @cached_property
     def needs(self) -> tuple[int, ...]:
-        """Landmarks of the vectors, and of the joint angles if they give the start."""
+        """Indices of the landmarks of the vectors, and of the joint-angle map if the search starts
+        from it."""
         angles = () if self.joint_angles is None else self.joint_angles.needs
         return tuple(sorted({*self.objective.layout.landmarks, *angles}))
 
     @cached_property
     def evaluate(self) -> Callable[[Float[np.ndarray, " n"]], Float[Array, " 1+m"]]:
-        """Compiled function from a ``packed`` point and goal to value and gradient, in one array
-        each, because each costs 2 to 5 us."""
+        """Compiled function that computes value and gradient from a ``packed`` point and goal.
+        Arguments and results are one array each, because each array costs 2 to 5 us."""
         count, joints = len(self.objective.layout.vectors), len(self.hand.neutral)
         ends = np.cumsum([joints, 3 * count, count, joints])
 
@@ -261,7 +265,7 @@ class SlsqpMethod(Method):
         return evaluate
 
     def packed(self, q: Float[np.ndarray, " m"], goal: FrameGoal) -> Float[np.ndarray, " n"]:
-        """Joins joint positions and a goal to the array that ``evaluate`` takes."""
+        """Packs joint positions and a goal into the single array that ``evaluate`` takes."""
         parts = (q, goal.vectors, goal.weights, goal.previous, goal.velocity_weight)
         return np.concatenate([np.ravel(np.asarray(part, np.float32)) for part in parts])
 
@@ -303,7 +307,7 @@ class SlsqpMethod(Method):
     def solve(
         self, state: SlsqpMethodState, problem: SlsqpProblem
     ) -> tuple[SlsqpMethodState, MethodOutput]:
-        """Minimises by SLSQP, unless the start is a minimum."""
+        """Minimises with SLSQP, unless the start is a minimum."""
         evaluate = self.evaluate  # compiles at the first frame
         start = np.asarray(problem.start)
         velocity_weight = self.config.objective.velocity_weight

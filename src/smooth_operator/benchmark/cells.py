@@ -1,4 +1,5 @@
-"""Settings of a benchmark, and its cells: one recording, one hand, one method with one preset."""
+"""Settings of a benchmark and its cells; a cell combines a recording, a hand and a method with a
+preset."""
 
 from __future__ import annotations
 
@@ -84,7 +85,7 @@ class Settings:
 
 
 def only_side(hands: tuple[str, ...]) -> Side | None:
-    """``left`` if all these hands exist only as left hands, otherwise None.
+    """Returns ``left`` if all these hands exist only as left hands, otherwise None.
 
     Args:
         hands: names; unknown names are reported by ``select_hands``.
@@ -120,7 +121,7 @@ def select_hands(names: tuple[str, ...]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Choice:
-    """A method to measure.
+    """A method to measure, with its preset.
 
     Attributes:
         method: its name.
@@ -204,7 +205,7 @@ class Cell:
 
     @property
     def side(self) -> Side:
-        """Side of both hands."""
+        """Side of the human hand and the robot hand."""
         return self.source.side
 
     @property
@@ -214,7 +215,7 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """Human-readable label."""
+        """Human-readable name of the cell."""
         method = method_label(self.method, self.preset)
         return f"{self.source.name} on {self.hand} {self.side}, {method}"
 
@@ -246,7 +247,8 @@ class Cell:
 def cells_of(
     sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
 ) -> list[Cell]:
-    """Combines every recording with every hand and every method, in this order."""
+    """Combines every recording with every hand and every method. Cells are sorted by recording,
+    then hand, then method."""
     own = {} if settings.operator is None else settings.operator.pinch_gaps
     return [
         Cell(source, hand, choice.method, choice.preset, choice.config, settings.fingers, gaps)
@@ -258,7 +260,7 @@ def cells_of(
 
 
 def fingerprint(cell: Cell, settings: Settings) -> str:
-    """Fingerprint of a cell's inputs, without code.
+    """Digest of a cell's inputs, without the code that it depends on.
 
     It covers frames, hand, configuration, seed and definitions. Cells with equal fingerprints need
     to be measured only once.
@@ -282,7 +284,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
 
 
 def benchmark_code() -> str:
-    """Digest of the code on which a command or a metric depends, including models.
+    """Digest of the code and the models on which commands and metrics depend.
 
     It does not cover pages, plots and the command line. If a method changes between two runs of a
     benchmark, its cells are measured again.

@@ -74,7 +74,7 @@ class Pose:
 
 
 def pose_scores(human: Float[np.ndarray, "T 21 3"]) -> dict[str, Float[np.ndarray, " T"]]:
-    """Score of each pose in each frame; above 0 the frame shows it.
+    """Scores how well each frame shows each pose; the frame shows the pose if the score is above 0.
 
     Args:
         human: (T, 21, 3) landmarks, aligned to a robot [m]; NaN where a frame is not usable.
@@ -126,7 +126,7 @@ def find_poses(panels: Iterable[Panel]) -> list[Pose]:
 
 
 def skeleton_shape(hand: Hand) -> SkeletonShape:
-    """Surface of a robot hand that consists of rods between its landmarks."""
+    """Surface of a robot hand, drawn as rods between its landmarks."""
     return SkeletonShape(hand, view_basis(hand))
 
 
@@ -196,7 +196,7 @@ def write_sheets(
 
 
 def panels_by_hand(panels: Iterable[Panel]) -> dict[tuple[str, str], list[Panel]]:
-    """Panels of each hand and side."""
+    """Groups panels by hand and side."""
     groups: dict[tuple[str, str], list[Panel]] = {}
     for panel in panels:
         groups.setdefault(panel.key[1:], []).append(panel)
@@ -205,7 +205,7 @@ def panels_by_hand(panels: Iterable[Panel]) -> dict[tuple[str, str], list[Panel]
 
 @dataclass(frozen=True, eq=False)
 class HandPicture:
-    """A hand in a pose, which can be drawn from two sides.
+    """A hand in one pose, which can be drawn from two directions.
 
     Attributes:
         surface: its triangles, with the wrist at the origin [m].
@@ -255,14 +255,15 @@ class HandPicture:
 
 
 def common_frame(pictures: Sequence[HandPicture]) -> tuple[Float[np.ndarray, "2 2"], float]:
-    """Centre of each view, and half of the width that is needed to show all of these hands [m]."""
+    """Returns the centre of each view, and half of the width that a view needs to show all of these
+    hands [m]."""
     extents = np.array([picture.extent() for picture in pictures])
     low, high = extents[:, :, 0].min(axis=0), extents[:, :, 1].max(axis=0)
     return (low + high) / 2, 0.53 * float((high - low).max())
 
 
 def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, "3 3"]:
-    """Rotates the view of the palm to the thumb's side.
+    """Rotates the view of the palm so that the hand is seen from the thumb's side.
 
     Args:
         palm: rows right, up and toward a viewer who looks at the palm.
@@ -279,7 +280,7 @@ def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, 
 
 
 def side_of(pose: Pose) -> Side:
-    """Side of a pose's hand."""
+    """Side of the hand that a pose shows."""
     return pose.panel.hand.spec.side
 
 

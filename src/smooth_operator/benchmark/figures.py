@@ -1,4 +1,4 @@
-"""Plots of a benchmark's report, and the data of its clips."""
+"""Plots for a benchmark's report, and the data of its animated clips."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Result of one method on a panel's recording; positions in the palm frame [m].
+    """Result of one method on the recording of a panel; positions are in the palm frame [m].
 
     Attributes:
         method: name of the method.
@@ -92,8 +92,8 @@ class Panel:
         return [TIPS[FINGERS.index(finger)] for finger in self.hand.fingers]
 
     def window(self, seconds: float) -> slice:
-        """Frames of the period of the given length in which the human's fingertips travel the
-        farthest."""
+        """Frames of the part of the recording, of the given length, in which the human's fingertips
+        travel the farthest."""
         tips = self.runs[0].human[:, self.tips] - self.runs[0].human[:, None, WRIST]
         steps = np.linalg.norm(np.diff(tips, axis=0), axis=-1)
         travelled = np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps).sum(axis=-1))])
@@ -103,7 +103,7 @@ class Panel:
 
 
 def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
-    """Yields the panels of a benchmark, in the order of its cells, without failed cells."""
+    """Yields the panels of a benchmark, in the order of its cells; failed cells are left out."""
     groups: dict[tuple[str, str, str], list[tuple[Cell, Measured]]] = {}
     for one in finished:
         if one.measured is not None:
@@ -126,14 +126,16 @@ def run_of(todo: Plan, commands: CommandTrajectory) -> Run:
 
 
 def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 21 3"]:
-    """Landmarks of a robot in the palm frame [m]; NaN for landmarks that it does not have."""
+    """Landmarks of a robot hand in the palm frame [m]; NaN for landmarks that the hand does not
+    have."""
     robot = np.full((len(joints), NUM_LANDMARKS, 3), np.nan)
     robot[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.tree.positions(joints)
     return robot
 
 
 def robot_bones(hand: Hand) -> list[tuple[int, int]]:
-    """(parent, child) landmarks of the bones in the robot's skeleton that the robot has."""
+    """Bones of the robot's skeleton as (parent, child) landmarks, without landmarks that the robot
+    lacks."""
     present = {LANDMARKS.index(name) for name in hand.tree.names}
     bones: list[tuple[int, int]] = []
     for base in BASES:
@@ -155,7 +157,7 @@ _POINTS: Final = 21 * 3 * 2 * 4 / 3  # bytes of one hand in one frame, in base64
 
 
 def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, Any]:
-    """Makes the clip of one panel for the player, ready for JSON.
+    """Makes the animated clip of one panel for the player, ready to be written as JSON.
 
     Args:
         colors: method -> colour.
@@ -495,5 +497,5 @@ def _line(color: str, style: Any, label: str) -> Any:
 
 
 def shortened(text: str) -> str:
-    """Shortens a text to 22 characters; keeps both ends, which distinguish recordings."""
+    """Shortens a text to 22 characters. Keeps both ends, because they distinguish recordings."""
     return text if len(text) <= 22 else f"{text[:10]}…{text[-11:]}"

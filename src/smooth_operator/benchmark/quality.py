@@ -1,5 +1,5 @@
-"""Measures the quality of cells in workers, and latency with alternating methods on an otherwise
-idle program.
+"""Measures the quality of cells in worker processes, and their latency while this program does
+nothing else.
 
 While other workers run, latency shows how busy the machine is, not how fast a method is. Therefore
 latencies are measured in a separate phase, in one process. Methods alternate in short blocks, each
@@ -30,7 +30,7 @@ from smooth_operator.types import CommandTrajectory
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measurements of a cell, without latency.
+    """Measurements of a cell, except latency.
 
     Attributes:
         commands: the joint commands. Their latency is NaN, because a latency measured next to other
@@ -148,7 +148,7 @@ class Latency:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The summary, and how it was measured."""
+        """The summary, and how the latency was measured."""
         return {
             **self.summary,
             "frames": len(self.samples_ms),
@@ -245,9 +245,8 @@ class Watch:
         self._started = time.monotonic()
 
     def others(self) -> float | None:
-        """Fraction of all cores that other processes used since the start, 0 to 1. None if the
-        system does not report it, or if too little time has passed for its clock ticks.
-        """
+        """Fraction of all cores that other processes have used since the start, 0 to 1. None if the
+        system does not report it, or if too little time has passed for its clock ticks."""
         busy, elapsed = _busy_seconds(), time.monotonic() - self._started
         if busy is None or self._busy is None or elapsed < 0.1:
             return None
@@ -257,7 +256,8 @@ class Watch:
 
     @staticmethod
     def load() -> float | None:
-        """Load average over the last minute; None on a system that has none, such as Windows."""
+        """Load average over the last minute; None on systems that have no load average, such as
+        Windows."""
         try:
             return os.getloadavg()[0]
         except (AttributeError, OSError):

@@ -1,4 +1,5 @@
-"""Tables of methods: values, means, the best method for each use; comparison of two benchmarks."""
+"""Tables of methods: values, means and the best method for each use; also compares two
+benchmarks."""
 
 from __future__ import annotations
 
@@ -77,18 +78,19 @@ NUMBERS: Final[tuple[Metric, ...]] = tuple(
 
 
 def columns() -> tuple[Metric, ...]:
-    """``COLUMNS``, and the metrics of plugins that define a column heading."""
+    """Columns of the tables: ``COLUMNS``, and the metrics of plugins that define a column
+    heading."""
     return (*COLUMNS, *(metric for metric in plugin_metrics() if metric.short))
 
 
 def numbers() -> tuple[Metric, ...]:
-    """``NUMBERS``, and the metrics of plugins."""
+    """Metrics with numeric values: ``NUMBERS``, and the metrics of plugins."""
     return (*NUMBERS, *plugin_metrics())
 
 
 @dataclass(frozen=True)
 class Line:
-    """One method in a table.
+    """Values of one method, as one line of a table.
 
     Attributes:
         method: name of the method.
@@ -120,7 +122,7 @@ def lines_of(rows: Iterable[Row]) -> list[Line]:
 
 
 def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
-    """Means over the trackers, one line for each method, of the rows of one hand.
+    """Means over trackers for the rows of one hand, one line per method.
 
     Parts of one recording are one unit. A value is averaged over the units of each tracker, then
     over the trackers, so that many recordings of one tracker do not dominate. A metric that some
@@ -153,7 +155,8 @@ def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> lis
 
 
 def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Rows of each tracker on which any method succeeded, in their order."""
+    """Groups rows by tracker, in the order of the rows; trackers on which no method succeeded are
+    left out."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row_tracker(row), []).append(row)
@@ -161,7 +164,7 @@ def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def sample_text(rows: Iterable[Row]) -> str:
-    """Human-readable numbers of recordings of each tracker: ``3 recordings: 2 glove, 1 camera``."""
+    """Says how many recordings of each tracker there are: ``3 recordings: 2 glove, 1 camera``."""
     rows = [row for row in rows if row["status"] == "ok"]
     counts = {
         tracker: len({row_unit(row) for row in own}) for tracker, own in by_tracker(rows).items()
@@ -175,17 +178,18 @@ def sample_text(rows: Iterable[Row]) -> str:
 
 
 def by_panel(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
-    """Rows of one recording, hand and side; in their order."""
+    """Groups rows by recording, hand and side, in the order of the rows."""
     return _grouped(rows, ("recording", "hand", "side"))  # type: ignore[return-value]
 
 
 def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Rows of one hand, left and right together; in their order."""
+    """Groups rows by hand, left and right together, in the order of the rows."""
     return {hand: group for (hand,), group in _grouped(rows, ("hand",)).items()}
 
 
 def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
-    """Failures as (recording and hand, methods with the same reason, reason)."""
+    """Lists the failures as (recording and hand, methods that failed for the same reason,
+    reason)."""
     grouped: list[tuple[str, str, str]] = []
     for (recording, hand, side), own in by_panel(rows).items():
         reasons: dict[str, list[str]] = {}
@@ -200,8 +204,8 @@ def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
 
 
 def footnotes(rows: Iterable[Row]) -> list[str]:
-    """Footnotes for empty cells of self-collision and of pinches: one sentence for each hand and
-    each recording not measured."""
+    """Footnotes that explain empty cells of self-collision and pinch metrics: one sentence for each
+    hand and each recording that was not measured."""
     share, touch = _BY_NAME["self_collision.share"], _BY_NAME["pinch_touch_share"]
     measured = [row for row in rows if row["status"] == "ok"]
     hands = {
@@ -225,7 +229,8 @@ def footnotes(rows: Iterable[Row]) -> list[str]:
 
 
 def best(lines: Sequence[Line], metric: Metric) -> set[int]:
-    """Best lines of a metric; empty if the metric has no better direction or all values are alike.
+    """Indices of the best lines of a metric; empty if the metric has no better direction or all
+    values are alike.
 
     Lines that are printed with the same value are equally good.
     """
@@ -244,15 +249,15 @@ def best(lines: Sequence[Line], metric: Metric) -> set[int]:
 
 
 def merit(metric: Metric, value: float) -> float:
-    """Merit of a value, for which larger is better; at most 0 for a metric whose best value is
-    1."""
+    """Converts a value to a merit, so that larger is better. For a metric whose best value is 1,
+    the merit is at most 0."""
     if metric.goal == "->1":
         return -abs(value - 1.0)
     return -value if metric.goal == "down" else value
 
 
 def shown_value(metric: Metric, value: float | None) -> str:
-    """A value as tables print it."""
+    """A value of a metric as tables print it."""
     if value is None:
         return "–"
     if metric.name in ("frames",):
@@ -324,7 +329,8 @@ class Use:
 
 
 def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
-    """Mean rank of each method over the columns in which any method has a value; 1 is the best.
+    """Mean rank of each method over the columns in which any method has a value; rank 1 is the
+    best.
 
     Methods that failed on a recording are not ranked. A method without a value is last in that
     column; values that look the same in the table share a rank.
@@ -348,7 +354,7 @@ def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
 
 
 def find_uses(lines: Sequence[Line]) -> list[Use]:
-    """Finds the best method for each use by ``RULES``; empty if fewer than two methods are
+    """Finds the best method for each use, following ``RULES``; empty if fewer than two methods are
     ranked."""
     running = _competing(lines)
     if len(running) < 2:
@@ -458,7 +464,7 @@ LATENCY_NOISE: Final = 0.1
 
 @dataclass(frozen=True)
 class Change:
-    """Comparison of one metric of a cell between two benchmarks.
+    """One metric of a cell, compared between two benchmarks.
 
     Attributes:
         metric: the metric.
@@ -474,13 +480,13 @@ class Change:
 
     @property
     def difference(self) -> float:
-        """now - before."""
+        """Difference ``now - before``."""
         return self.now - self.before
 
 
 @dataclass(frozen=True)
 class Compared:
-    """Comparison of one cell between two benchmarks.
+    """One cell, compared between two benchmarks.
 
     Attributes:
         key: name of the cell.
@@ -499,7 +505,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of a benchmark with another one.
+    """A benchmark, compared with another benchmark.
 
     Attributes:
         name: name of the other benchmark.
@@ -514,7 +520,7 @@ class Comparison:
     only_there: tuple[tuple[str, ...], ...]
 
     def count(self, verdict: Verdict, metrics: Sequence[Metric] | None = None) -> int:
-        """Number of values with a verdict. Default metrics: ``numbers``."""
+        """Number of values that have a verdict, by default over the metrics of ``numbers``."""
         judged = numbers() if metrics is None else metrics
         return sum(
             change.verdict == verdict and change.metric in judged
@@ -524,7 +530,7 @@ class Comparison:
 
 
 def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison:
-    """Compares a benchmark with another one.
+    """Compares a benchmark with another benchmark.
 
     Args:
         name: name of the other benchmark in texts.
@@ -540,7 +546,8 @@ def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison
 
 
 def change_verdict(metric: Metric, now: float, before: float) -> Verdict:
-    """Verdict on a value in comparison with another one; ``same`` within the noise."""
+    """Says whether a value is better, worse or the same as an earlier one; ``same`` if they differ
+    by no more than the noise."""
     noise = LATENCY_NOISE if metric.name.startswith("latency_ms") else NOISE
     gain = merit(metric, now) - merit(metric, before) if metric.goal else 0.0
     size = max(abs(merit(metric, now)), abs(merit(metric, before)))

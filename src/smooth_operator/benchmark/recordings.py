@@ -86,14 +86,14 @@ class Request:
 
     @property
     def unit(self) -> str:
-        """Unit of independent repetition: the file, or the built-in operator with its seed.
+        """What counts as one independent sample: the file, or the synthetic operator with its seed.
 
         Parts of one file, or one file read in several ways, count as one unit.
         """
         return f"{SYNTHETIC}:{self.seed}" if self.path is None else str(self.path.resolve())
 
     def operator(self) -> SyntheticOperator:
-        """The requested built-in operator with its tracker; ConfigError if the length of the hand
+        """The requested synthetic operator with its tracker; ConfigError if the length of the hand
         or the tempo is outside its range."""
         operator = SyntheticOperator(
             seed=self.seed,
@@ -108,7 +108,7 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Result of reading a requested recording; either ``recording`` or ``error`` is None.
+    """A requested recording after it was read. Either ``recording`` or ``error`` is None.
 
     Attributes:
         request: the user's request.
@@ -128,12 +128,14 @@ class Source:
 
     @property
     def side(self) -> Side:
-        """Side of the recording; for an unreadable one, the requested side, or right."""
+        """Side of the recording. If the recording can't be read, the requested side, or right
+        without a request."""
         return self.recording.side if self.recording else self.request.side or "right"
 
     @property
     def tracker(self) -> str:
-        """Kind of its tracker: one of ``TRACKERS``, ``synthetic`` or ``UNKNOWN_TRACKER``."""
+        """Kind of tracker that made the recording: one of ``TRACKERS``, ``synthetic`` or
+        ``UNKNOWN_TRACKER``."""
         if self.request.path is None:
             return SYNTHETIC
         stored = "" if self.recording is None else str(self.recording.meta.get("format"))
@@ -141,14 +143,14 @@ class Source:
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Known pinch gaps of its tracker, as for ``Retargeter``."""
+        """Known pinch gaps of the recording's tracker, as ``Retargeter`` takes them."""
         if self.request.mediapipe:
             return MEDIAPIPE
         return known_gaps(self.request.tracker if self.tracker == SYNTHETIC else None)
 
     @property
     def facts(self) -> dict[str, object]:
-        """Properties of the recording for the results."""
+        """Properties of the recording that the results contain."""
         recording = self.recording
         return {
             "path": None if self.request.path is None else str(self.request.path),
@@ -170,7 +172,7 @@ def parse_request(
     side: Side | None = None,
     layout: str | None = None,
 ) -> Request:
-    """Parses a recording and its settings.
+    """Parses the name of a recording and its settings.
 
     Args:
         text: name and settings; see the docstring of this module.
@@ -230,7 +232,7 @@ def parse_request(
 
 
 def load_sources(requests: Iterable[Request]) -> list[Source]:
-    """Reads the requested recordings. Folders are replaced by the recordings in them and in their
+    """Reads the requested recordings. A folder stands for all recordings in it and in its
     subfolders.
 
     Returns:
@@ -257,8 +259,8 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
 
 
 def unique_names(named: Sequence[tuple[str, Path | None]]) -> list[str]:
-    """Makes the names of files unique: names that clash are extended by as many folders as
-    needed."""
+    """Makes the names of files unique, by adding as many parent folders as needed to names that
+    clash."""
     paths = [None if path is None else path.absolute() for _, path in named]
 
     def at(depth: int, i: int) -> str:

@@ -1,4 +1,5 @@
-"""Runs a benchmark: quality of all cells in workers, then latency with nothing else running.
+"""Runs a benchmark: first the quality of all cells in workers, then latency while nothing else
+runs.
 
 In the folder of a benchmark, ``config.json`` contains the settings; ``cells/SLUG.npz`` and
 ``.json`` the commands and measurements of a cell, as ``smooth-operator retarget`` writes them;
@@ -91,8 +92,8 @@ def check_folder(
 
 
 class MeasuredCache(ResultCache):
-    """Store of measured cells: commands and configuration, as ``smooth-operator retarget`` writes
-    them.
+    """Store of measured cells, with commands and configuration as ``smooth-operator retarget``
+    writes them.
 
     The configuration has the metrics and the inputs of the cell under ``cell``.
     """
@@ -146,7 +147,8 @@ class BenchmarkFolder:
         write_json(self.folder / CONFIG, config | self.environment, indent=2)
 
     def job(self, cell: Cell) -> Job[Cell]:
-        """Makes the job that measures a cell; its cost is the length of the recording."""
+        """Makes the job that measures a cell. The cost of the job is the length of the
+        recording."""
         key = fingerprint(cell, self.settings)
         effort = len(cell.source.recording or ())
         return Job(cell.slug, key, benchmark_code(), cell, cell.label, effort)
@@ -156,8 +158,8 @@ class BenchmarkFolder:
         self._latencies.keep(*self._latency(cell), asdict(latency))
 
     def load_latency(self, cell: Cell) -> Latency | None:
-        """Loads the latency of a cell that was measured on this kind of machine; None if there is
-        none."""
+        """Loads the latency of a cell, if it was measured on this kind of machine; otherwise
+        None."""
         content = self._latencies.find(*self._latency(cell))
         if content is None:
             return None
@@ -200,9 +202,9 @@ class Finished:
 
 
 def plan_cells(settings: Settings) -> list[Cell]:
-    """Plans all cells to measure. Reads the recordings and does not write anything.
-    SmoothOperatorError if the settings are invalid: an unknown name, no readable recording, or a
-    folder with other contents."""
+    """Reads the recordings and plans all cells to measure; writes nothing. Raises
+    SmoothOperatorError for an unknown name, if no recording can be read, or if the folder has other
+    contents."""
     check_folder(settings.output)
     add_metrics(settings.metrics)
     requests = [
@@ -221,7 +223,7 @@ def plan_cells(settings: Settings) -> list[Cell]:
 def run_suite(
     settings: Settings, cells: Sequence[Cell], reporter: Reporter | None = None
 ) -> list[Finished]:
-    """Measures all cells. Cells that an earlier run in the folder has finished are reused.
+    """Measures all cells. Results that an earlier run has left in the folder are reused.
 
     Each finished cell is written before the next one, so a stopped run loses only the cells in
     progress. A failed cell has a reason instead of metrics, and the run continues.
@@ -387,7 +389,7 @@ def _row(finished: Finished, settings: Settings) -> Row:
 
 
 def row_key(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """Key of a row."""
+    """Values that identify a row of the results."""
     return tuple(str(row[name]) for name in KEY)
 
 
@@ -402,7 +404,8 @@ def row_tracker(row: Mapping[str, Any]) -> str:
 
 
 def row_unit(row: Mapping[str, Any]) -> str:
-    """The whole recording that contains the row's frames; parts of a file share it."""
+    """The whole recording from which the row's frames are taken; parts of the same file share
+    it."""
     return str(_source(row).get("unit") or row["recording"])
 
 
@@ -426,7 +429,7 @@ def value_of(row: Mapping[str, Any], metric: Metric) -> float | None:
 
 
 def read_results(path: Path) -> list[Row]:
-    """Reads ``results.json``, of this or an earlier benchmark.
+    """Reads ``results.json`` of this benchmark or of an earlier one.
 
     Args:
         path: the file, or the folder of the benchmark.

@@ -1,4 +1,4 @@
-"""Calibration of an operator: finds pinches by prompts or by search, and computes pinch gaps."""
+"""Calibration of an operator: finds pinches, by prompts or by search, and measures pinch gaps."""
 
 from smooth_operator.lazy_names import public_names
 

@@ -1,4 +1,5 @@
-"""Estimates the gaps that a tracker leaves in an operator's pinches from a recording."""
+"""Estimates, from a recording, how far apart a tracker reports thumb and finger in an operator's
+pinches."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ MOST: Final = 0.6
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of the search for the pinches of one finger.
+    """Result of the search for pinches with one finger.
 
     Attributes:
         finger: the finger.
@@ -60,7 +61,7 @@ class Calibration:
 
 
 def calibrate(recording: HandRecording, segments: Sequence[Segment] | None = None) -> Calibration:
-    """Measure the gaps that a tracker leaves in an operator's pinches.
+    """Measures how far apart a tracker reports thumb and finger when an operator pinches.
 
     The gap of a finger is the median distance from the thumb in the closest four fifths of the
     frames of its pinches, because an operator may close late or open early.

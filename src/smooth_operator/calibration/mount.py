@@ -1,4 +1,4 @@
-"""Finds where a tracker sits on a glove, from two motions of the hand that carries it.
+"""Finds where a tracker sits on a glove, from two motions of the hand that wears it.
 
 A tracker on the back of the hand has a constant pose relative to the wrist. With the forearm held,
 the hand turns about the wrist's centre; the point of the tracker's frame that moves least is that
@@ -77,7 +77,7 @@ class Mount:
 
 
 def find_mount(turning: Float[np.ndarray, "n 7"], sliding: Float[np.ndarray, "m 7"]) -> Mount:
-    """Find where a tracker sits on a hand.
+    """Finds where a tracker sits on a hand.
 
     Args:
         turning: poses of the tracker in a z-up world while the hand turns about the wrist and the

@@ -26,7 +26,7 @@ _EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate` or
 
 @dataclass(frozen=True)
 class OperatorProfile:
-    """Profile of an operator with a tracker.
+    """Profile of an operator, measured with one tracker.
 
     Attributes:
         side: side of the hand.
@@ -57,7 +57,7 @@ class OperatorProfile:
                 )
 
     def check(self, side: Side) -> None:
-        """Raises ConfigError unless the pinch gaps are those of a hand of this side."""
+        """Raises ConfigError unless the pinch gaps were measured on a hand of this side."""
         if side != self.side:
             raise ConfigError(
                 f"this operator file is for the {self.side} hand and can't be used for the "
@@ -66,7 +66,7 @@ class OperatorProfile:
 
 
 def write_operator(path: Path, operator: OperatorProfile) -> None:
-    """Write a profile atomically; OutputError if the file can't be written."""
+    """Writes a profile atomically; OutputError if the file can't be written."""
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -79,9 +79,9 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
 
 
 def read_operator(path: Path) -> OperatorProfile:
-    """Read a profile that ``write_operator`` wrote; ConfigError if the file does not exist, is not
-    a profile or has another version, or an entry is missing, unknown or outside the range of a
-    hand."""
+    """Reads a profile that ``write_operator`` wrote. Raises ConfigError if the file does not exist,
+    is not a profile or has another version, or if an entry is missing, unknown or outside the range
+    of a human hand."""
     try:
         content = read_json(Path(path), most_bytes=_MOST_BYTES)
     except FileNotFoundError:

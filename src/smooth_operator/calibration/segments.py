@@ -1,4 +1,4 @@
-"""Finds the pinches of a calibration, by prompts or by a search in a recording.
+"""Finds the pinches of a calibration, from prompts or by searching a recording.
 
 Both produce ``Segment`` objects for the estimator.
 """
@@ -40,7 +40,7 @@ class Features:
 
 
 def measure_features(recording: HandRecording) -> Features:
-    """Compute the features of a recording; RecordingError if too few frames can be used, or they
+    """Computes the features of a recording; RecordingError if too few frames can be used, or they
     show the other hand."""
     assert recording.valid is not None  # filled in on construction
     points = recording.landmarks
@@ -89,7 +89,7 @@ _OTHER_NEAR: Final = 0.006  # distance of a second tip that makes a pinch doubtf
 
 @dataclass(frozen=True)
 class Segment:
-    """Frames in which an operator holds a pinch.
+    """Range of frames in which an operator holds a pinch.
 
     Attributes:
         finger: the finger that pinches.
@@ -158,7 +158,7 @@ def _runs(
 
 @dataclass(frozen=True)
 class Prompt:
-    """A pose or a motion that the program asks the operator for.
+    """A pose or a motion that the program asks the operator to make.
 
     Attributes:
         name: name of its frames; the finger of a pinch.

@@ -75,8 +75,7 @@ _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
 
 
 def print_results(rows: Sequence[Row]) -> None:
-    """Prints the main metrics of each method, per recording and overall, and the recommended
-    methods."""
+    """Prints the main metrics of each method, per recording and overall, and recommends methods."""
     console = output_console()
     shown = _columns(console)
     panels = by_panel(rows)

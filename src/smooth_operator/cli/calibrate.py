@@ -1,4 +1,4 @@
-"""``smooth-operator calibrate``: measures an operator's pinches, or the place of a tracker on a
+"""``smooth-operator calibrate``: measures an operator's pinches, or where a tracker sits on a
 glove, and writes a file."""
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Measure the gaps that a tracker leaves in pinches, or the place of a tracker on a glove, and
-    write a file for --operator."""
+    """Measure how far apart a tracker reports a touching thumb and finger, or where a tracker sits
+    on a glove; write a file for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
@@ -75,7 +75,8 @@ Examples:
 
 
 def calibrate_recording(options: Calibrate) -> None:
-    """Calibrates the pinches or the place of a tracker, writes files and prints the result."""
+    """Measures an operator's pinches or where a tracker sits, writes files and prints the
+    result."""
     if options.wrist_source is None:
         _calibrate_pinches(options)
     else:

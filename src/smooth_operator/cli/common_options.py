@@ -37,7 +37,7 @@ RARE: Final = frozenset(
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """Options of every command, and the function that does its work.
+    """Options that every command has, and the name of the function that does the command's work.
 
     Attributes:
         work: ``package.module:function``, called with the options. It is imported when the command
@@ -59,11 +59,12 @@ class Common:
 
     def extras(self) -> dict[str, tuple[str, ...]]:
         """Maps each extra that these options need to its libraries (top-level modules). A command
-        that needs several extras names them here, so that one message lists them all."""
+        that needs several extras names them here, so that one message lists all that are missing.
+        """
         return {}
 
     def run(self) -> None:
-        """Imports the function that ``work`` names, and calls it with these options;
+        """Imports the function that ``work`` names, and calls it with these options. Raises
         MissingExtraError if a library of one of the ``extras`` is not installed."""
         missing = []
         for extra, libraries in self.extras().items():
@@ -112,7 +113,7 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True)
 class Synthetic:
-    """Options of every command that records the built-in operator."""
+    """Options of every command that records the synthetic operator."""
 
     duration: Annotated[float, arg(metavar="SECONDS")] = 20.0
     """Length of the recording [s]."""
@@ -179,8 +180,8 @@ def unwrapped(text: str) -> str:
 
 
 def described(kind: Any, whole: bool = True) -> str:
-    """Help of a command: its class's docstring and details. With ``whole``, also what only
-    ``--help-all`` shows."""
+    """Help text of a command: the docstring of its class and the details. If ``whole``, also the
+    parts that only ``--help-all`` shows."""
     text = f"{inspect.getdoc(kind)}\n\n{kind.details}"
     if getattr(kind, "rare", ()):
         text += f"\n\n{kind.more}" if whole else "\n\nMore options and explanations: --help-all"
@@ -188,13 +189,14 @@ def described(kind: Any, whole: bool = True) -> str:
 
 
 class Group:
-    """Options of a group. Its field ``what`` holds the options of the chosen subcommand."""
+    """Options of a command with subcommands. Its field ``what`` holds the options of the chosen
+    subcommand."""
 
     what: Any
 
     @classmethod
     def members(cls) -> dict[str, type]:
-        """Name -> options of each subcommand."""
+        """Maps the name of each subcommand to the class of its options."""
         union = get_args(get_type_hints(cls, include_extras=True)["what"])[0]
         members = {}
         for member in get_args(union):
@@ -204,7 +206,7 @@ class Group:
 
     @property
     def debug(self) -> bool:
-        """True if an error shows its traceback."""
+        """True if a traceback is printed for an error."""
         return bool(self.what.debug)
 
     def run(self) -> None:

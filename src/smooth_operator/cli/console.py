@@ -33,7 +33,7 @@ _WIDTH_TO_EXPLAIN: Final = 115
 
 @dataclass(frozen=True)
 class Figure:
-    """A metric that is printed after a run, with its limit and advice.
+    """A metric that is printed after a run, with a limit and advice for values beyond it.
 
     Attributes:
         metric: name of the metric.
@@ -97,7 +97,7 @@ speed."""
 
 
 class Progressing(Reporter):
-    """Prints notes and a progress bar on standard error.
+    """Shows notes and a progress bar on standard error.
 
     Args:
         quiet: print only important notes.
@@ -109,12 +109,12 @@ class Progressing(Reporter):
 
     @property
     def lines(self) -> bool:
-        """True if progress is printed as lines, because there is no terminal for a bar; false if
-        quiet."""
+        """True if progress is printed as lines, because there is no terminal for a bar; False in
+        quiet mode."""
         return not (self._quiet or self._console.is_terminal)
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """Prints a line. With ``quiet``, only if it ``matters``."""
+        """Prints a line. In quiet mode, prints it only if it ``matters``."""
         if matters or not self._quiet:
             self._console.print(text, markup=False, soft_wrap=True)
 
@@ -132,7 +132,8 @@ class Progressing(Reporter):
 
     @contextlib.contextmanager
     def bar(self, text: str) -> Iterator[Callable[[str, float], None]]:
-        """Shows a bar; yields a function that sets its text and the completed fraction, 0 to 1."""
+        """Shows a progress bar. Yields a function that sets its text and the completed fraction, 0
+        to 1."""
         if self._quiet or not self._console.is_terminal:
             told = ""
 
@@ -155,7 +156,7 @@ class Progressing(Reporter):
     def counter(
         self, unit: str = "", *, extra: str = "", in_files: bool = False, **options: Any
     ) -> Progress:
-        """Shows a bar with the remaining time; the caller adds the tasks.
+        """Makes a progress bar with the remaining time; the caller adds the tasks.
 
         Args:
             unit: unit of the count, as in "3/8 cells"; empty for no count.
@@ -184,7 +185,8 @@ class Progressing(Reporter):
     def counting(
         self, name: str, total: int, unit: str, *, done: int = 0, in_files: bool = False
     ) -> Iterator[Advance]:
-        """Shows a bar with the remaining time on a terminal, or a line for each label elsewhere."""
+        """Shows a progress bar with the remaining time on a terminal; elsewhere, prints a line for
+        each label."""
         if done:
             self.note(f"{name}: {done} of {total} {unit} are unchanged and not measured again")
         left = total - done
@@ -208,7 +210,7 @@ class Progressing(Reporter):
             yield advance
 
     def frames(self, text: str) -> Callable[[Iterable[int]], Iterator[int]]:
-        """Shows a bar while the caller iterates over frames.
+        """Shows a progress bar while the caller iterates over frames.
 
         The bar is drawn between frames and not by another thread, so it does not add to their
         latency.
@@ -234,7 +236,7 @@ class Progressing(Reporter):
 
 
 def output_console(width: int = _WIDTH_OF_A_FILE) -> Console:
-    """The console of standard output.
+    """Opens the console for standard output.
 
     Args:
         width: width to use without a terminal, for example in a pipe or file, where 80 columns
@@ -254,7 +256,7 @@ def plain_table(
     left: int | None = None,
     **options: Any,
 ) -> Table:
-    """A table with a line below its header and no frame.
+    """Makes a table with a line below its header and no frame.
 
     Args:
         left: number of columns that are aligned to the left, the others to the right; None for all.

@@ -77,7 +77,7 @@ request is invalid, 130 stopped."""
     """Print the report as one JSON object on standard output."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """The extra for the report, the format, the addresses and the cluster.
+        """Extras that the report, the output format, remote addresses and the cluster need.
 
         A later extra includes the earlier ones.
         """

@@ -1,4 +1,4 @@
-"""``smooth-operator demo``: retargets the built-in operator and shows the result."""
+"""``smooth-operator demo``: retargets the synthetic operator and shows the result."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ Examples:
 
 
 def demo(options: Demo) -> None:
-    """Records the operator, retargets, measures, serves the page and writes the folder."""
+    """Records the synthetic operator, retargets and measures the motion, serves the page and writes
+    the folder."""
     from smooth_operator.benchmark.suite import check_folder
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import folder_for, staged

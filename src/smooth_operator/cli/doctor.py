@@ -1,4 +1,4 @@
-"""``smooth-operator doctor``: reports the machine, versions and extras, and suggests changes."""
+"""``smooth-operator doctor``: reports on the machine, versions and extras, and suggests changes."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ _WINGS: Final = ("teleop", "lab")
 
 
 def environment() -> dict[str, Any]:
-    """Machine, versions, extras, and where compiled programs are kept."""
+    """Describes the machine, versions and extras, and where compiled programs are kept."""
     import jax
 
     from smooth_operator.retargeting.program_store import ProgramStore

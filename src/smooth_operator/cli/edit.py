@@ -1,4 +1,5 @@
-"""``smooth-operator edit``: cuts and marks takes, in new files."""
+"""``smooth-operator edit``: cuts and marks recordings made with ``teleop``, and writes new
+files."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Edit(Common):
-    """Cut and mark a take of teleop, and write the result as a new take."""
+    """Cut and mark a recording made with teleop, and write the result to a new file."""
 
     work: ClassVar[str] = "smooth_operator.cli.edit:edit"
     details: ClassVar[str] = """Times are seconds since the first frame or command. The
@@ -47,7 +48,7 @@ Examples:
 
 
 def edit(options: Edit) -> None:
-    """Writes the new takes, and prints what each contains."""
+    """Writes the new recordings, and prints what each contains."""
     from smooth_operator.teleop.recording.edit import Edit as Changes
     from smooth_operator.teleop.recording.edit import as_mark, as_range, edit_logs
     from smooth_operator.teleop.recording.log_reader import read_log

@@ -1,4 +1,4 @@
-"""``smooth-operator hands``: its subcommands, the list of hands, and the removal of a hand.
+"""``smooth-operator hands``: its subcommands, and the work of ``list`` and ``remove``.
 
 To add a subcommand, write a dataclass of options like ``List`` below and a function that takes
 them, and add a line to ``What``. The group itself is one line in ``cli/options.py``.
@@ -87,7 +87,7 @@ _SIDES: Final[tuple[Side, ...]] = ("right", "left")
 
 
 def list_hands(options: List) -> None:
-    """Prints the catalogue."""
+    """Prints the list of hands."""
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
@@ -154,7 +154,7 @@ def _row(name: str) -> dict[str, Any]:
 
 
 def remove_hand_command(options: Remove) -> None:
-    """Asks for confirmation, then deletes spec files and copies of models."""
+    """Asks for confirmation, then deletes the spec files of a hand and the copies of its model."""
     from smooth_operator.hand_files.user_hands import removable, remove_hand
 
     files = ", ".join(str(path) for path in removable(options.hand, options.side))

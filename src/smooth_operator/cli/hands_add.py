@@ -104,7 +104,8 @@ Examples:
 
 
 def add_hand(options: Add) -> None:
-    """Analyses a model, prints the findings, writes the spec file and opens the page."""
+    """Analyses a model, prints the findings, writes the spec file and opens the page that shows the
+    hand."""
     from smooth_operator.hand_discovery.loops import opened
     from smooth_operator.hand_files.robot_descriptions import PREFIX, description_file
     from smooth_operator.hands.registry import MAKERS_HANDS

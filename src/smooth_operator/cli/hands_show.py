@@ -1,4 +1,4 @@
-"""``smooth-operator hands show`` and ``render``: show one hand as tables, on a page or as a
+"""``smooth-operator hands show`` and ``render``: show one hand in tables, on a page or in a
 picture."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The commands and their options, as typed dataclasses; tyro makes the parsers and the help."""
+"""Lists the commands and their options, as typed dataclasses from which tyro makes the parsers and
+the help."""
 
 from __future__ import annotations
 
@@ -111,8 +112,7 @@ def _field_docs(kind: type) -> dict[str, str]:
 
 
 def option_names(kind: type, prefix: str = "--") -> Iterator[str]:
-    """Names of the options of a command, such as ``--limits.velocity``, without positional
-    arguments."""
+    """Names of a command's options, such as ``--limits.velocity``, without positional arguments."""
     hints = get_type_hints(kind, include_extras=True)
     for field in dataclasses.fields(kind):
         name = prefix + field.name.rstrip("_").replace("_", "-")  # from_ is --from
@@ -149,7 +149,7 @@ def _dataclasses_in(hint: Any) -> Iterator[type]:
 
 @contextlib.contextmanager
 def wrapped_output() -> Iterator[None]:
-    """Wraps text that is printed inside the block at the width of the terminal, except boxes.
+    """Inside the block, wraps printed text at the width of the terminal, except for boxes.
 
     tyro fits its boxes to that width, but does not wrap the text above them.
     """

@@ -1,4 +1,4 @@
-"""Checks of output paths before the long work starts."""
+"""Checks output paths before the long work starts."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from smooth_operator.planning import foreign_result
 
 
 def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
-    """Checks that ``OUT.npz`` and its configuration may be written. Does not write anything.
-    OutputError if the name does not end in ``.npz``; an earlier result exists and ``overwrite`` is
-    false; or one of the two files exists and is not an earlier result."""
+    """Checks that ``OUT.npz`` and its configuration may be written; writes nothing. Raises
+    OutputError if the name does not end in ``.npz``, if there is an earlier result and
+    ``overwrite`` is false, or if one of the two files exists and is not an earlier result."""
     if path.suffix != ".npz":
         raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
     for target in (path, config_path(path)):
@@ -58,9 +58,8 @@ def folder_for(folder: Path) -> Iterator[None]:
 
 
 def stopped(output: Path) -> KeyboardInterrupt:
-    """The exception to raise when Ctrl-C ends a command whose results are kept; ``main`` prints its
-    text.
-    """
+    """Returns the exception to raise when Ctrl-C ends a command whose results are kept; ``main``
+    prints its text."""
     return KeyboardInterrupt(f"run the same command again to continue in {output}")
 
 

@@ -1,4 +1,4 @@
-"""The model with which a robot hand is drawn."""
+"""Chooses the model with which a page draws a robot hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from smooth_operator.terminal import print_note
 
 
 def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
-    """Returns the hand's model with its meshes; None if simple shapes should be drawn.
+    """Returns the hand's model with its meshes, or None if simple shapes should be drawn.
 
     If meshes that the user did not ask for can't be read, a note says so and simple shapes are
     drawn.

@@ -1,4 +1,4 @@
-"""The process of a command: handling of signals from the start, and a clean exit."""
+"""The process of a command: signal handling from the start, and a clean exit."""
 
 from __future__ import annotations
 

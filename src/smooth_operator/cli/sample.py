@@ -1,4 +1,4 @@
-"""``smooth-operator sample``: records the built-in operator."""
+"""``smooth-operator sample``: records the synthetic operator."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample(Common, Synthetic, Quiet):
-    """Write a recording of the built-in operator, as input for the other commands."""
+    """Write a recording of the built-in synthetic hand, as input for the other commands."""
 
     work: ClassVar[str] = "smooth_operator.cli.sample:sample"
     details: ClassVar[str] = """The hand opens, closes, pinches, spreads and moves its fingers in
@@ -70,7 +70,7 @@ def sample(options: Sample) -> None:
 
 
 def synthetic_operator(options: Synthetic, seed: int, side: Side = "right") -> SyntheticOperator:
-    """Synthetic operator with the side, rate and tracker of the options.
+    """Makes the synthetic operator with the side, rate and tracker that the options name.
 
     Args:
         seed: random seed of its movements and its tracker's errors.

@@ -1,4 +1,4 @@
-"""Reading and retargeting of a recording with progress and notes, for several commands."""
+"""Reads and retargets a recording with progress and notes, for several commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from smooth_operator.types import HandRecording
 
 
 def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
-    """Retargets, with a progress bar."""
+    """Retargets a recording, with a progress bar."""
     say_notes(todo.config, todo.hand, progress)
     with progress.waiting(f"compiling {todo.method} for {todo.hand.name} (slow the first time)"):
         start_jax(one_thread=todo.config.one_thread)
@@ -29,7 +29,7 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
 def read_shown(
     path: Path | str, progress: Progressing, frames: str | None, **reading: Any
 ) -> HandRecording:
-    """Reads some frames of a recording, and prints notes on it.
+    """Reads the chosen frames of a recording, and prints notes on it.
 
     Args:
         frames: range ``A:B``; None for all frames.

@@ -1,4 +1,4 @@
-"""``smooth-operator teleop``: a teleoperation with a page and keys in the terminal."""
+"""``smooth-operator teleop``: runs a teleoperation with a page, and with keys in the terminal."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ be opened, 130 stopped by Ctrl-C or another signal."""
     """Print only important messages on standard error."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """Extras of the page and the arm; sources and sinks name their own extras."""
+        """Extras that the page and the arm need; sources and sinks name their own."""
         page = () if self.no_view else ("viser", "trimesh", "matplotlib", "jinja2")
         return {"teleop": page} if self.arm is None else {"arm": ("mink", "daqp", *page)}
 

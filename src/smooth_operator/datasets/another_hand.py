@@ -1,4 +1,4 @@
-"""Derives the actions of another robot hand for a LeRobot data set that holds the human hands.
+"""Derives the actions of another robot hand for a LeRobot data set that contains human hands.
 
 The data set must have the columns of ``episode_files.lerobot.human``, which
 ``smooth-operator-lerobot-record``, ``convert`` and ``dataset`` write. The new data set has the same
@@ -81,9 +81,9 @@ _ADVICE: Final = (
 
 
 def find_dataset(name: str) -> Path:
-    """Returns the folder of a data set: ``name`` itself, or the folder in which LeRobot stores the
-    data set of that name (``HF_LEROBOT_HOME``, by default ``~/.cache/huggingface/lerobot``);
-    RecordingError if there is neither."""
+    """Returns the folder of a data set: ``name`` itself, or else the folder in which LeRobot stores
+    the data set of that name (``HF_LEROBOT_HOME``, by default ``~/.cache/huggingface/lerobot``).
+    Raises RecordingError if neither exists."""
     home = Path(os.environ.get("HF_HOME", Path.home() / ".cache" / "huggingface")) / "lerobot"
     home = Path(os.environ.get("HF_LEROBOT_HOME", home))
     for folder in (Path(name), home / name):

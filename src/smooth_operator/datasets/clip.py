@@ -17,7 +17,7 @@ from smooth_operator.types import CommandTrajectory, Side
 
 @dataclass(frozen=True, eq=False)
 class RobotClip:
-    """A clip of human hands with a command of each robot hand for each frame.
+    """A clip of human hands with one command of each robot hand per frame.
 
     Attributes:
         clip: the human hands and the scene.
@@ -56,7 +56,7 @@ class RobotClip:
 
 
 def robot_part(whole: RobotClip, frames: slice) -> RobotClip:
-    """Cuts a range of frames out of a clip with commands; the part has no quality metrics.
+    """Returns some frames of a clip with commands; the part has no quality metrics.
 
     The name and the key of the part contain the range of frames.
     """

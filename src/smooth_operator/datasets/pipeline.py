@@ -90,8 +90,8 @@ def only_cpus_in_children() -> Iterator[None]:
 def results_of_gpu(
     jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], **options: Any
 ) -> Generator[Results]:
-    """Yields the results of jobs: workers read clips, this process retargets ``BATCH`` hands at
-    once.
+    """Yields the results of jobs. Workers read the clips; this process retargets ``BATCH`` hands at
+    once on the GPU.
 
     While a thread retargets and packs a batch, the next batch is read. One process uses one GPU; to
     use several GPUs, start several runs, each with its ``CUDA_VISIBLE_DEVICES`` and its
@@ -148,7 +148,7 @@ def make_dataset(
     resolved: RetargetRequest | None = None,
     again: bool = False,
 ) -> Summary:
-    """Makes a data set, or a shard of one. Continues where an earlier run was stopped.
+    """Makes a data set, or one shard of it. Continues where an earlier run was stopped.
 
     The result depends only on the sources and the request, not on the number of workers or on
     interruptions. A clip that can't be read or retargeted is reported and does not stop the others.

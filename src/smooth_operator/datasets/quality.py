@@ -84,7 +84,7 @@ each hand. The last four exist only for clips that were retargeted with their ob
 
 @dataclass(frozen=True)
 class Rule:
-    """How a limit judges an episode.
+    """Which values of a quality metric violate a limit.
 
     Attributes:
         limit: name of the limit in ``Limits``; it begins with ``min`` or ``max``.
@@ -140,7 +140,7 @@ def quality_tracks(
     hand: Hand,
     alignment: AlignmentConfig,
 ) -> list[Tracks]:
-    """Computes quality metrics for each frame of recordings of one hand; NaN where unknown.
+    """Computes quality metrics for each frame of the recordings of one hand; NaN where unknown.
 
     The recordings are measured together, which is faster.
 
@@ -239,7 +239,7 @@ def quality_figures(episode: RobotClip) -> dict[str, float]:
 
 
 def worst(figures: Mapping[str, float], name: str) -> float | None:
-    """Value of a metric for the worse hand; None if it is unknown for both."""
+    """The worse of the two hands' values of a metric; None if it is unknown for both."""
     better = next(figure.better for figure in FIGURES if figure.name == name)
     values = [value for key, value in figures.items() if key.partition(".")[2] == name]
     if not values:
@@ -293,7 +293,7 @@ def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
 
 
 def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:
-    """Longest time without a valid frame [s]; a frame lasts one period."""
+    """Longest time without a valid frame [s], where each frame lasts one period."""
     edges = np.flatnonzero(np.diff(np.r_[True, valid, True].astype(np.int8)))
     starts, stops = edges[::2], edges[1::2]
     if not len(starts):
@@ -336,7 +336,7 @@ def _jerk(positions: np.ndarray, stamps: np.ndarray) -> float | None:
 
 @dataclass(frozen=True)
 class Dropped:
-    """A dropped part of a clip.
+    """A part of a clip that was dropped.
 
     Attributes:
         name: name that the episode would have had.
@@ -352,8 +352,8 @@ class Dropped:
 
 
 def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
-    """Yields the episodes of a clip in time order: kept ones with quality metrics, and dropped
-    ones."""
+    """Yields the episodes of a clip in time order: those that are kept, with quality metrics, and
+    those that are dropped."""
     whole = _confident(whole, limits.min_confidence)
     motion = _finger_motions(whole)
     if limits.whole:

@@ -18,7 +18,7 @@ DATASET: Final = "dataset"
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits on an episode's quality. A metric that is unknown does not violate its limit.
+    """Limits on an episode's quality. An unknown metric does not violate its limit. Raises
     ConfigError if a limit is outside its range."""
 
     whole: bool = False
@@ -91,7 +91,7 @@ NO_LIMITS: Final = Limits(
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetRequest(Limits, MethodRequest):
-    """Sources, robot hand, limits of quality, format and output of a data set."""
+    """Request to make a data set: sources, robot hand, quality limits, format and output."""
 
     sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
     """Folders, files, patterns, lists of paths, or addresses of object storage."""
@@ -173,7 +173,7 @@ class DatasetRequest(Limits, MethodRequest):
 
     @property
     def limits(self) -> Limits:
-        """The limits of quality."""
+        """The quality limits of the request."""
         if self.no_limits:
             return NO_LIMITS
         return Limits(**{each.name: getattr(self, each.name) for each in fields(Limits)})
@@ -191,14 +191,13 @@ class DatasetRequest(Limits, MethodRequest):
 
     @property
     def packs(self) -> Path:
-        """Folder with the retargeted clips; a hidden folder if the results are next to it."""
+        """Folder for the retargeted clips. It is hidden if the results lie next to it."""
         return self.output / (".work" if self.mirror else "work")
 
 
 @dataclass(frozen=True, kw_only=True)
 class MirrorRequest(DatasetRequest):
-    """Settings for retargeting a folder of recordings to command files at the same relative
-    paths."""
+    """Request to retarget a folder of recordings to command files at the same relative paths."""
 
     layout: str | None = "files"
     format: str = "npz"
@@ -206,5 +205,5 @@ class MirrorRequest(DatasetRequest):
 
     @property
     def mirror(self) -> bool:
-        """True: the results are written to ``output`` itself."""
+        """Always True: the results are written to ``output`` itself."""
         return True

@@ -52,8 +52,8 @@ computes commands."""
 
 
 def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
-    """Checks that a configuration solves whole recordings, and returns it as such; ConfigError if
-    it solves frame by frame."""
+    """Checks that a configuration solves whole recordings, and returns it with the type of such a
+    configuration. Raises ConfigError if it solves frame by frame."""
     if not isinstance(config, TrajectoryMethodConfig):
         raise ConfigError("objects need a preset for whole recordings, such as smooth:offline")
     return config
@@ -61,7 +61,7 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A source file of a clip.
+    """A file from which a clip is read.
 
     Attributes:
         path: its path in the source, with slashes; or its address.
@@ -76,13 +76,13 @@ class SourceFile:
     changed: str = ""
 
     def identity(self) -> dict[str, Any]:
-        """Identity of the file in a data set, without the time of its last change."""
+        """Values that identify the file in a data set; the time of its last change is left out."""
         return {"path": self.path, "bytes": self.bytes, "sha256": self.sha256}
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Settings on which the commands of a clip depend.
+    """All settings on which the commands of a clip depend.
 
     Attributes:
         request: hand, method, preset, seed, scale, fingers and operator; and side, rate and layout
@@ -112,7 +112,7 @@ class Recipe:
 
     @classmethod
     def of(cls, request: DatasetRequest, resolved: RetargetRequest | None = None) -> Recipe:
-        """Makes the recipe of a data set.
+        """Makes the recipe for a request.
 
         Args:
             resolved: request that replaces hand, method and settings of ``request``.
@@ -166,7 +166,7 @@ class Recipe:
         return default_side(self.request.hand)
 
     def reading(self, side: Side | None = None, rate: float | None = None) -> ReadingOptions:
-        """Options of the readers for an item; its list may state side and rate."""
+        """Options for reading an item; the list that names the item may state side and rate."""
         own = self.request
         return ReadingOptions(
             rate or own.rate, side or own.side, self.mano, self.objects, own.layout, self._assumed
@@ -388,7 +388,7 @@ def _result(
 
 @functools.lru_cache(maxsize=64)
 def shared_config(text: str) -> dict[str, Any]:
-    """Parses a configuration from JSON. Equal texts give the same object, as most clips share
-    one."""
+    """Parses a configuration from JSON. Equal texts give the same object, because most clips share
+    one configuration."""
     config: dict[str, Any] = json.loads(text)
     return config

@@ -163,7 +163,7 @@ _FIRST: Final = 65_536
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A piece of work: a clip, or a file in object storage with all its clips.
+    """A piece of work: one clip, or one file in object storage with all its clips.
 
     Attributes:
         name: its name, unique among the items.
@@ -193,14 +193,15 @@ class Item:
 
     @property
     def settings_key(self) -> str:
-        """Digest of the item's settings: those that its list states, and its part of the file."""
+        """Digest of the settings that the item's list states, and of the part of the file that the
+        item covers."""
         part = "" if self.ref is None else self.ref.key
         return key_digest([self.layout, part, self.task, self.side, self.rate, self.frames])[:16]
 
 
 def is_manifest(path: Path) -> bool:
-    """True if a file is a list of recordings: ``.txt``, ``.csv``, or ``.jsonl`` whose first line
-    has ``path``."""
+    """True if a file is a list of recordings: a ``.txt`` or ``.csv`` file, or a ``.jsonl`` file
+    whose first line has ``path``."""
     suffix = path.suffix.lower()
     if suffix in (".txt", ".csv"):
         return True
@@ -219,8 +220,8 @@ def is_manifest(path: Path) -> bool:
 
 
 def read_manifest(path: Path) -> Iterator[Item]:
-    """Yields the lines of a list as items, each named by its path or address. RecordingError if the
-    list can't be read, or a line is not valid; the message has the line's number."""
+    """Yields the lines of a list as items, each named by its path or address. Raises RecordingError
+    if the list can't be read or a line is not valid; the message has the number of the line."""
     try:
         text = read_text(path, most_bytes=_MOST_BYTES)
     except (OSError, DocumentError) as error:
@@ -330,7 +331,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Survey:
-    """Everything that was found in the sources.
+    """Everything that a search of the sources found.
 
     Attributes:
         items: the pieces of work, sorted by name.
@@ -350,7 +351,7 @@ _Each: TypeAlias = Item | Refused | str
 def find_items(
     sources: Sequence[str], *, layout: str | None = None, leave_out: Path | None = None
 ) -> Survey:
-    """Lists the items of sources. Opens files, but reads no arrays.
+    """Lists the items in some sources. Opens files, but reads no arrays.
 
     Args:
         sources: paths, patterns, lists, addresses.
@@ -380,7 +381,8 @@ def find_items(
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
-    """True if an item belongs to shard i of n, counted from 1; depends only on the item's name."""
+    """True if an item belongs to shard i of n, counted from 1. This depends only on the item's
+    name."""
     if shard is None:
         return True
     number = int.from_bytes(hashlib.sha256(item.name.encode()).digest()[:8])

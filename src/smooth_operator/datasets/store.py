@@ -44,7 +44,7 @@ _LEFT_OUT: Final = {(RobotClip, "config"), (RobotClip, "figures"), (HandRecordin
 
 @dataclass(frozen=True)
 class ReadClip:
-    """A clip that was read, before retargeting.
+    """A clip that was read and is not retargeted yet.
 
     Attributes:
         item: item to which the clip belongs.
@@ -63,7 +63,7 @@ class ReadClip:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The retargeted clips of an item: where they are stored, and facts about them.
+    """Where the retargeted clips of an item are stored, and facts about them.
 
     Attributes:
         pack: file of the pack.
@@ -94,7 +94,7 @@ key, files and rate."""
 
 @dataclass(eq=False)
 class Store:
-    """The packs of one recipe.
+    """The packs (files of retargeted clips) that were made with one recipe.
 
     Args:
         folder: folder of the packs, at any depth.
@@ -104,8 +104,8 @@ class Store:
     _open: dict[Path, _Pack] = field(default_factory=dict)
 
     def find(self, accept: Accept) -> dict[str, Result]:
-        """Finds valid results: name of item -> result. Removes damaged packs, so their clips are
-        made again."""
+        """Finds valid results: maps the name of an item to its result. Removes damaged packs, so
+        that their clips are made again."""
         packs: dict[str, Result] = {}
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             try:
@@ -121,7 +121,7 @@ class Store:
         return packs
 
     def remove_superseded(self, finished: Mapping[str, Result]) -> None:
-        """Deletes packs whose items are all in other packs.
+        """Deletes packs whose items are all stored in other packs.
 
         A worker of a killed run may finish its pack while the next run makes the same clips.
 
@@ -287,8 +287,8 @@ def _facts(whole: RobotClip) -> dict[str, Any]:
 
 
 def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
-    """Encodes a clip as named arrays and a JSON document, without configuration and quality
-    metrics.
+    """Encodes a clip as named arrays and a JSON document, which contain neither its configuration
+    nor its quality metrics.
 
     In the document, a value that JSON does not have is a pair of its kind and its content.
     """

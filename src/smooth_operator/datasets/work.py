@@ -1,4 +1,5 @@
-"""Jobs for worker processes, which read clips, retarget them and write them to a pack."""
+"""Jobs for worker processes, which read clips, retarget them and write them to a pack (a file of
+retargeted clips; see ``datasets/store``)."""
 
 from __future__ import annotations
 
@@ -73,8 +74,8 @@ def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
 
 
 def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Results:
-    """Retargets the clips of a job, and writes them to a pack; items with a failed clip are left
-    out. OutputError if the pack can't be written."""
+    """Retargets the clips of a job and writes them to a pack, without the items of clips that
+    failed. Raises OutputError if the pack can't be written."""
     clips = [each for each in clips if each.item.name not in reasons]
     answers = retarget_clips(
         [each.clip for each in clips],
@@ -95,7 +96,7 @@ def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Resu
 
 
 def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
-    """True if the files of an item are unchanged: equal dates, or else equal digests.
+    """True if the files of an item are unchanged: their dates are equal or, if not, their digests.
 
     Args:
         files: files that were read before.

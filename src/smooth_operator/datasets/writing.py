@@ -1,5 +1,5 @@
-"""Writes the data set from retargeted clips: selects episodes, writes them in order, and
-reports."""
+"""Writes the data set from retargeted clips: selects episodes, writes them in order, and writes a
+report."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ _COLUMNS: Final = 3
 
 
 class FigureTable:
-    """Table of the quality metrics of all episodes, for the worse hand; 4 bytes per value."""
+    """Table of the quality metrics of all episodes, with the worse hand's values; 4 bytes per
+    value."""
 
     def __init__(self) -> None:
         self.kept: dict[str, array[float]] = {}
@@ -78,7 +79,7 @@ class FigureTable:
                 own.setdefault(name, array("f")).extend(values)
 
     def percentiles(self) -> dict[str, dict[str, float]]:
-        """Name of a metric -> percentiles over the kept episodes."""
+        """Maps the name of each metric to its percentiles over the kept episodes."""
         result = {}
         for name, values in self.kept.items():
             at = np.percentile(np.asarray(values), _PERCENTILES)
@@ -227,7 +228,7 @@ class Summary:
         packs: Mapping[str, Result],
         failed: Mapping[str, str],
     ) -> Summary:
-        """Summary of a run that retargets its share and writes no data set."""
+        """Summary of a run that retargets only its shard and writes no data set."""
         frames = sum(each.frames for each in packs.values())
         return cls(output, shard, len(packs), frames, failed=dict(sorted(failed.items())))
 
@@ -239,7 +240,7 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """Description of a data set to write.
+    """Everything that determines the data set to write.
 
     Attributes:
         request: the request for the data set.
@@ -257,7 +258,8 @@ class Order:
 
     @property
     def identity(self) -> str:
-        """Digest of the clips, the limits, the format, its options and the code that writes."""
+        """Digest of the clips, the limits, the format with its options, and the code that writes
+        the data set."""
         content = [(name, pack.key) for name, pack in self.items]
         request = self.request
         writer = WRITERS[request.format].target.partition(":")[0]
@@ -520,8 +522,7 @@ def _prepare(order: Order) -> None:
 
 
 def hand_in(output: Path) -> str | None:
-    """Name of the robot hand of the data set in a folder of results; None if there is no data
-    set."""
+    """Name of the robot hand in the data set of a results folder; None if there is no data set."""
     if not (output / DATASET).exists():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Reads hands of the EgoDex data set: one hand as a recording, or a clip with everything in a file.
+"""Reads hands from EgoDex files: one hand as a recording, or everything in a file as a clip.
 
 A file has 4 x 4 transforms in ARKit's world: the group ``transforms`` with an array (T, 4, 4) for
 each joint (``rightHand``, ``rightIndexFingerTip``, ...) and for the camera, and perhaps
@@ -68,7 +68,7 @@ def read_egodex(
 def egodex_hand(
     tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side
 ) -> HandRecording:
-    """Reads one hand without a check of units and stamps.
+    """Reads one hand without checking units and timestamps.
 
     Joints that ARKit lost and matrices that are not poses become NaN.
 
@@ -104,7 +104,8 @@ def egodex_hand(
 
 
 def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray, "T 7"] | None:
-    """Reads the (T, 7) poses of the camera in the same world: x right, y down, z into the picture.
+    """Reads the (T, 7) camera poses in the same world frame as the hands; camera axes: x right, y
+    down, z into the picture.
 
     The file already uses these axes: the inverse of ``transforms/camera`` and the 3 x 3
     ``camera/intrinsic`` project joints to pixels. The result is None if the file has no camera.
@@ -120,9 +121,8 @@ def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray
 def egodex_confidences(
     tree: Mapping[str, Hdf5Group], side: Side, count: int
 ) -> Float[np.ndarray, "T 25"] | None:
-    """Reads the confidence of ARKit in each joint, 0 to 1: NaN for a joint without one, None
-    without any.
-    """
+    """Reads ARKit's confidence in each joint, 0 to 1. A joint without confidences is NaN; returns
+    None if the file has no confidences."""
     group = tree.get("confidences")
     held = {} if group is None else group.arrays
     sure = np.full((count, len(EGODEX_JOINTS[side])), np.nan)
@@ -136,8 +136,8 @@ def egodex_confidences(
 def egodex_transforms(
     tree: Mapping[str, Hdf5Group], name: str, path: Path
 ) -> Float[np.ndarray, "T 4 4"]:
-    """Reads the transforms of a joint or of the camera unchanged; RecordingError if there are none,
-    or their number differs from that of the other joints."""
+    """Reads the transforms of a joint or of the camera unchanged. Raises RecordingError if the file
+    has none, or if their number differs from that of the other joints."""
     group = tree["transforms"]
     first = next((n for pair in EGODEX_JOINTS.values() for n in pair if n in group.arrays), name)
     stored, example = group.arrays.get(name), group.arrays.get(first)
@@ -193,8 +193,8 @@ class Egodex:
         yield ClipRef(path.stem, path, layout="egodex", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads hands, camera and task of a file; frames that ARKit did not see are NaN and not
-        valid.
+        """Reads the hands, the camera and the task of a file. Frames in which ARKit did not see a
+        hand are NaN and not valid.
 
         Raises:
             RecordingError: the file is damaged, or joints are missing or have another shape.

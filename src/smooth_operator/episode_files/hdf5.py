@@ -90,7 +90,7 @@ _OPTIONAL: Final = {
 
 
 def write_hdf5_episode(path: Path, episode: Episode) -> None:
-    """Writes an episode.
+    """Writes an episode to an HDF5 file.
 
     Raises:
         MissingExtraError: h5py is not installed.
@@ -121,7 +121,7 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
 def read_hdf5_episode(
     path: Path, *, rate: float | None = None, side: Side | None = None
 ) -> Episode:
-    """Reads an episode.
+    """Reads an episode from an HDF5 file.
 
     Raises:
         MissingExtraError: h5py is not installed.
@@ -176,7 +176,7 @@ def read_hdf5_episode(
 def read_hdf5_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None = None
 ) -> HandRecording:
-    """Reads the hand frames of an episode, whose order of landmarks is known.
+    """Reads the hand frames of an episode file, which states the order of its landmarks.
 
     Raises:
         RecordingError: as for ``read_hdf5_episode``, or there are no frames.
@@ -188,7 +188,7 @@ def read_hdf5_recording(
 
 
 def is_own_hdf5(path: Path) -> bool:
-    """True if this program wrote the file."""
+    """True if this program wrote the HDF5 file."""
     try:
         return bool(read_tree(path, head=True)["/"].attributes.get("format") == FORMAT)
     except RecordingError:

@@ -64,7 +64,7 @@ _TEXT_BYTES = 64
 
 @dataclass(frozen=True, eq=False)
 class Hdf5Array:
-    """An array of a file.
+    """An array of an HDF5 file.
 
     Attributes:
         name: name of the array, including its groups.
@@ -87,7 +87,7 @@ class Hdf5Array:
 
 @dataclass(frozen=True, eq=False)
 class Hdf5Group:
-    """A group of a file.
+    """A group of an HDF5 file.
 
     Attributes:
         name: name of the group, including its parent groups.
@@ -102,7 +102,7 @@ class Hdf5Group:
     arrays: dict[str, Hdf5Array]
 
     def describe(self) -> str:
-        """Description of the content, for messages."""
+        """Describes the content of the group, for messages."""
         return listed(self.names) or "nothing"
 
 
@@ -242,7 +242,7 @@ def _text(value: Any) -> str | None:
 
 
 def h5py_of() -> Any:
-    """The module ``h5py``; MissingExtraError if h5py is not installed."""
+    """Imports and returns the module ``h5py``; MissingExtraError if it is not installed."""
     try:
         import h5py
     except ImportError as error:

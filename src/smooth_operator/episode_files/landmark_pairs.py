@@ -1,4 +1,4 @@
-"""Reader of an ``.npz`` with the landmarks of both hands, for data of any origin.
+"""Reads an ``.npz`` file with the landmarks of both hands, whatever program wrote it.
 
 =================================  ===========  ===================================================
 array                              shape        content
@@ -45,7 +45,7 @@ _MOST_TEXT: Final = 2000
 
 
 class LandmarksOfBothHands:
-    """Reader of an ``.npz`` with the landmarks of both hands; a file is one clip."""
+    """Reader of ``.npz`` files with the landmarks of both hands; each file is one clip."""
 
     what = "an .npz with the landmarks of both hands"
     expects = (
@@ -54,7 +54,7 @@ class LandmarksOfBothHands:
     )
 
     def matches(self, path: Path) -> bool:
-        """True for an ``.npz`` file that has ``right`` or ``left`` with three axes."""
+        """True for an ``.npz`` file that has an array ``right`` or ``left`` with three axes."""
         if path.suffix.lower() != ".npz" or not path.is_file():
             return False
         try:
@@ -68,8 +68,9 @@ class LandmarksOfBothHands:
         yield ClipRef(path.stem, path, layout="landmarks", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads the hands, wrists, camera, objects and task of a file. RecordingError if the shape
-        of an array does not match the others; or units, order, side or stamps are wrong."""
+        """Reads the hands, wrists, camera, objects and task of a file. Raises RecordingError if the
+        shape of an array does not match the others, or if units, order, side or timestamps are
+        wrong."""
         path, arrays = ref.path, open_arrays(ref.path)
         sides = [side for side in SIDES if side in arrays]
         if not sides:

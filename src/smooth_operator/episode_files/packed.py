@@ -1,4 +1,4 @@
-"""Reader of clips that the Parquet writer packed: many clips per file, one clip per row."""
+"""Reads clips that the Parquet writer packed: many clips per file, one clip per row."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TEXTS: Final = ("name", "layout", "task", "world", "video", "meta")
 
 
 class Packed:
-    """Reader of files of the format ``parquet``.
+    """Reader of files in the format ``parquet``.
 
     It reads the human hands, so that a data set for one robot hand can be converted to a data set
     for another. Workers read one row group at a time.
@@ -44,8 +44,8 @@ class Packed:
         return {"name", "stamps"} <= names and bool(hands & names)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """Yields a reference for each row; reads only the column of names. RecordingError if the
-        file is damaged."""
+        """Yields a reference for each row; reads only the column of names. Raises RecordingError if
+        the file is damaged."""
         try:
             check_plain_file(path)
             with parquet().ParquetFile(path, page_checksum_verification=True) as file:
@@ -58,8 +58,8 @@ class Packed:
             raise damaged(path, f"Parquet: {error}") from error
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads the human hands of a row; their stamps are in the file. RecordingError if the file
-        is damaged, or is not in the writer's format."""
+        """Reads the human hands of a row, with the timestamps that the file contains. Raises
+        RecordingError if the file is damaged, or is not in the writer's format."""
         try:
             group, row = map(int, ref.key.split("/"))
             status = ref.path.stat()

@@ -1,4 +1,4 @@
-"""Opening ``.npy`` and ``.npz`` files without ever unpickling.
+"""Opens ``.npy`` and ``.npz`` files without ever unpickling.
 
 Headers are read first, so an unsuitable array is refused before its data is loaded.
 
@@ -48,7 +48,7 @@ class TooLargeError(RecordingError):
 
 @dataclass
 class Allowance:
-    """Budget of bytes that may be unpacked from one file.
+    """Number of bytes that may still be unpacked from one file.
 
     Attributes:
         path: the file, for messages.
@@ -64,12 +64,12 @@ class Allowance:
 
     @classmethod
     def of(cls, path: Path, size: int, ratio: int = ARRAYS_RATIO) -> Allowance:
-        """Returns the budget of a file of a given size [bytes]."""
+        """Returns the allowance for a file of a given size [bytes]."""
         return cls(path, max(FREE_BYTES, ratio * size))
 
     def take(self, part: str, count: int) -> None:
-        """Counts the bytes of a part before it is unpacked. A repeated part counts once.
-        TooLargeError if the total would exceed the limit."""
+        """Counts the bytes of a part before it is unpacked. A part that is unpacked again counts
+        once. Raises TooLargeError if the total would exceed the limit."""
         total = self.total - self.used.get(part, 0) + count
         if total > self.most:
             raise TooLargeError(
@@ -123,8 +123,8 @@ class StoredArray:
     allowance: Allowance
 
     def load(self) -> np.ndarray:
-        """Read the data; RecordingError if the array is pickled or damaged, or takes more memory
-        than a file of this size may."""
+        """Reads the data. Raises RecordingError if the array is pickled or damaged, or takes more
+        memory than a file of this size may."""
         label = f"array {self.name!r}" if self.name else "the array"
         if self.dtype.hasobject:
             raise RecordingError(f"{self.path}: {label} holds pickled objects; {PICKLE_REMEDY}")
@@ -136,7 +136,7 @@ class StoredArray:
             return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
     def numbers(self) -> np.ndarray:
-        """Read the data as float64.
+        """Reads the data as float64.
 
         Raises:
             RecordingError: as ``load``, or the array is not numeric.
@@ -149,7 +149,7 @@ class StoredArray:
         return array.astype(np.float64, copy=False)
 
     def text(self) -> str:
-        """Read the data as one string.
+        """Reads the data as one string.
 
         Raises:
             RecordingError: as ``texts``, or there is more than one string.
@@ -161,7 +161,7 @@ class StoredArray:
         return self.texts()[0]
 
     def texts(self) -> list[str]:
-        """Read the data as a flat list of strings (bytes are taken as ASCII).
+        """Reads the data as a flat list of strings (bytes are decoded as ASCII).
 
         Raises:
             RecordingError: as ``load``, or the array is not text.
@@ -198,14 +198,15 @@ class StoredArrays(Mapping[str, StoredArray]):
         return len(self._entries)
 
     def describe(self) -> str:
-        """Lists names and shapes, for error messages."""
+        """Lists the names and shapes of the arrays, for error messages."""
         items = (f"{name or 'one array'} {item.shape}" for name, item in self.items())
         return listed(items) or "no arrays"
 
 
 def open_arrays(path: Path) -> StoredArrays:
-    """Read the headers of the arrays in an ``.npy`` or ``.npz`` file; RecordingError if the file is
-    cut off, damaged, not a plain file, or a zip that contains a pickle (PyTorch's format)."""
+    """Reads the headers of the arrays in an ``.npy`` or ``.npz`` file. Raises RecordingError if the
+    file is truncated, damaged, not a regular file, or a zip that contains a pickle (PyTorch's
+    format)."""
     with _foreign(path):
         size = check_plain_file(path)
         allowance = Allowance.of(path, size)

@@ -1,4 +1,4 @@
-"""Checks of the hands of a clip, and common timestamps, for all readers."""
+"""Checks the hands of a clip and merges their timestamps, for all readers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ _JUDGED: Final = 50
 def checked_hands(
     hands: Mapping[Side, HandRecording], where: str, expects: str, *, each_frame: bool = False
 ) -> dict[Side, HandRecording]:
-    """Checks timestamps, units, order and side of each hand; returns those that appear.
+    """Checks timestamps, units, order and side of each hand. Returns the hands that appear in the
+    clip.
 
     A hand without a frame that has both wrist and middle knuckle is left out. Implausible landmarks
     are marked invalid, as in recordings of one hand.
@@ -66,8 +67,8 @@ def checked_hands(
 
 
 def one_hand(hands: Mapping[Side, HandRecording], side: Side | None, path: Path) -> HandRecording:
-    """The hand of a side, or the only hand in a file for None; RecordingError if the file does not
-    have that hand, or it has both and ``side`` is None."""
+    """Returns the hand of a side, or for None the only hand in the file. Raises RecordingError if
+    the file does not have that hand, or if it has both hands and ``side`` is None."""
     if side is None and len(hands) > 1:
         raise RecordingError(
             f"{path}: it contains both hands; choose one with --side right or --side left "
@@ -114,7 +115,7 @@ def _of_its_side(hand: HandRecording) -> HandRecording:
 
 
 def on_common_stamps(hands: Mapping[Side, HandRecording], where: str) -> dict[Side, HandRecording]:
-    """Merges two hands, whose frames have their own timestamps on one clock, to common timestamps.
+    """Merges two hands that have separate timestamps, from the same clock, to common timestamps.
 
     Frames of the two hands that are less than 0.4 of a period apart become one, with the earlier
     stamp. Where a hand has no frame, its landmarks are NaN and not valid.
@@ -179,5 +180,5 @@ def _spread(
 
 
 def first_video(*places: Path) -> Path | None:
-    """The first of some paths that is a file; None if no path is."""
+    """Returns the first of some paths that is a file; None if there is no such file."""
     return next((path for path in places if path.is_file()), None)

@@ -1,4 +1,4 @@
-"""Reads BVH files of body captures: a skeleton of joints and its joint angles over time.
+"""Reads BVH files of full-body motion capture: a skeleton of joints and its joint angles over time.
 
 A BVH file has a ``HIERARCHY`` of joints, each with an ``OFFSET`` from its parent and ``CHANNELS``
 (position and rotation, in the order in which the rotations are applied, in degrees), and a
@@ -124,7 +124,7 @@ class HandJoints:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Skeleton of a BVH file: its joints and the ends of bones, each after its parent.
+    """Skeleton of a BVH file: its joints and the ends of its bones, each listed after its parent.
 
     Attributes:
         names: name of each joint; an end has none.
@@ -140,7 +140,7 @@ class Skeleton:
 
     @property
     def width(self) -> int:
-        """Number of values in a frame."""
+        """Number of values in each frame."""
         return sum(map(len, self.channels))
 
     @cached_property
@@ -164,7 +164,7 @@ class Skeleton:
         return places, turns, about
 
     def places(self, frames: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T J 3"]:
-        """Positions of all joints and ends, in the file's unit and axes."""
+        """Positions of all joints and bone ends, in the file's unit and axes."""
         places, turns, about = self._columns
         padded = np.concatenate([frames, np.zeros((len(frames), 1))], axis=1)
         half = np.deg2rad(padded[:, turns]) / 2.0
@@ -187,8 +187,8 @@ class Skeleton:
 
     @cached_property
     def hands(self) -> dict[Side, HandJoints]:
-        """Finds the hands with fingers, by side; RecordingError if there is no hand with fingers,
-        or a fingertip or the unit is unknown."""
+        """Finds the hands with fingers, by side. Raises RecordingError if there is no hand with
+        fingers, or if a fingertip or the unit is unknown."""
         found = {side: self._hand(side) for side in ("right", "left")}
         hands: dict[Any, HandJoints] = {s: hand for s, hand in found.items() if hand is not None}
         if not hands:
@@ -283,7 +283,7 @@ class Skeleton:
     def recordings(
         self, frames: Float[np.ndarray, "T C"], stamps: Float[np.ndarray, " T"], name: str
     ) -> dict[Side, HandRecording]:
-        """Makes recordings of the hands, with their wrists, from some frames.
+        """Makes recordings of the hands and their wrists from some frames.
 
         Args:
             frames: numbers of each frame, in the order of the channels.
@@ -315,8 +315,8 @@ class Skeleton:
 
 
 def read_skeleton(lines: Iterator[str]) -> Skeleton:
-    """Reads the hierarchy from the lines of a file, up to the line ``MOTION``; RecordingError if
-    the hierarchy is damaged."""
+    """Reads the hierarchy from the lines of a file, up to the line ``MOTION``. Raises
+    RecordingError if the hierarchy is damaged."""
     names: list[str] = []
     parents: list[int] = []
     offsets: list[list[float]] = []
@@ -368,7 +368,7 @@ def _numbers(words: Sequence[str], what: str) -> list[float]:
 def read_bvh_hands(
     path: Path, rate: float | None, side: Side | None = None
 ) -> dict[Side, HandRecording]:
-    """Reads both hands of a BVH file, or the only one with fingers.
+    """Reads both hands of a BVH file, or the only one that has fingers.
 
     Args:
         rate: frame rate [Hz], for a file without ``Frame Time``.

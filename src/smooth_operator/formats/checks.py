@@ -1,4 +1,4 @@
-"""Checks of recordings (units, timestamps and side), and selection of frames by text.
+"""Checks recordings (units, timestamps and side), and selects frames by a text such as ``100:500``.
 
 The message of each check names the likely cause and a remedy."""
 
@@ -52,9 +52,9 @@ _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, 
 
 
 def check_recording(recording: HandRecording, where: str) -> None:
-    """Refuse a recording that is empty, has no valid landmarks, or has wrong timestamps or units.
-    Single missing landmarks are accepted and stay flagged as invalid. RecordingError names
-    the reason and the file, ``where``."""
+    """Refuses a recording that is empty, has no valid landmarks, or has wrong timestamps or units.
+    Single missing landmarks are accepted and stay flagged as invalid. The RecordingError names the
+    reason and the file, ``where``."""
     if not len(recording):
         raise RecordingError(f"{where}: the recording contains no frames")
     check_stamps(recording.stamps, where, recording.landmarks)
@@ -63,7 +63,7 @@ def check_recording(recording: HandRecording, where: str) -> None:
 
 
 def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) -> None:
-    """Refuse a recording whose shape is that of the other hand or of another order.
+    """Refuses a recording whose shape is that of the other hand or of another landmark order.
 
     The message calls it ``where`` and depends on ``asked``, the side that the caller asked for.
     """
@@ -89,7 +89,7 @@ def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) ->
 def check_units(
     landmarks: Float[np.ndarray, "T 21 3"], valid: Bool[np.ndarray, "T 21"], where: str
 ) -> None:
-    """Refuse landmarks that are not in metres, by the size of the palm.
+    """Refuses landmarks that are not in metres, judging by the size of the palm.
 
     Args:
         landmarks: (T, 21, 3) positions.
@@ -137,7 +137,7 @@ def check_units(
 def check_palm(
     landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], where: str
 ) -> None:
-    """Check the units of one frame of a stream. A hand without a visible palm is not checked.
+    """Checks the units of one frame of a live stream. A hand without a visible palm is not checked.
 
     Raises:
         RecordingError: as ``check_units``.
@@ -166,7 +166,7 @@ def _length_hint(palm: float) -> str:
 
 
 def without_outliers(recording: HandRecording) -> HandRecording:
-    """Flag implausible frames and landmarks of a recording in metres as invalid.
+    """Flags implausible frames and landmarks of a recording in metres as invalid.
 
     A frame is flagged if its palm is less than half or more than twice the usual length, for
     example because of another unit, or if it is farther than 10,000 km from the origin. A landmark
@@ -198,12 +198,13 @@ def without_outliers(recording: HandRecording) -> HandRecording:
 
 
 def side_note(where: str) -> str:
-    """Note on a recording whose side is assumed."""
+    """Note that the side of a recording was assumed."""
     return f"{where} does not state the side; assuming right. Use --side left otherwise"
 
 
 def reading_notes(recording: HandRecording, where: str) -> list[str]:
-    """Notes on assumptions and corrections in reading a recording; may be empty."""
+    """Notes on assumptions and corrections that were made while reading a recording; may be
+    empty."""
     notes = []
     if recording.meta.get("side_assumed"):
         notes.append(side_note(where))
@@ -235,7 +236,8 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
 
 
 def finger_motion(recording: HandRecording) -> float | None:
-    """Largest range of the distances from the wrist and from the thumb's tip to the fingertips [m].
+    """Largest change in the distances from the wrist and from the thumb's tip to the fingertips
+    [m].
 
     It is the range from the 5th to the 95th percentile, so single frames have no effect. It is 0 if
     the arm moves the hand without moving its fingers. In recordings of people, it is at least 5 mm
@@ -262,7 +264,7 @@ def check_stamps(
     where: str,
     poses: Float[np.ndarray, "T ..."] | None = None,
 ) -> None:
-    """Refuse timestamps of frames that are not finite, not strictly increasing, or not in seconds.
+    """Refuses frame timestamps that are not finite, not strictly increasing, or not in seconds.
 
     Args:
         stamps: (T,) stamps [s].
@@ -299,7 +301,7 @@ def check_times(
     what: str,
     poses: Float[np.ndarray, "T ..."] | None = None,
 ) -> None:
-    """Refuse timestamps that are not finite or do not increase.
+    """Refuses timestamps that are not finite or do not increase.
 
     Args:
         stamps: (T,) stamps [s].
@@ -333,7 +335,7 @@ def check_times(
 
 
 def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
-    """RecordingError for timestamps that span more than ``LONGEST_S``."""
+    """Raises RecordingError for timestamps that span more than ``LONGEST_S``."""
     span = float(stamps[-1]) - float(stamps[0]) if len(stamps) else 0.0
     if span > LONGEST_S:
         raise RecordingError(
@@ -373,7 +375,7 @@ def _repeats(
 
 
 def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.ndarray, " T"]:
-    """Evenly spaced timestamps [s] from 0, for a recording without timestamps.
+    """Makes evenly spaced timestamps [s] from 0, for a recording that has none.
 
     Raises:
         RecordingError: there is no rate and more than one frame.
@@ -389,7 +391,7 @@ def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.nda
 
 
 def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) -> None:
-    """RecordingError for a rate that differs from the timestamps of the file by over a tenth."""
+    """Raises RecordingError if a rate differs by over a tenth from the timestamps in the file."""
     if rate is None or len(stamps) < 2:
         return
     own = 1.0 / float(np.median(np.diff(stamps)))
@@ -401,7 +403,7 @@ def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) 
 
 
 def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tuple[Side, bool]:
-    """Determine the side of a recording from the file and the caller's request.
+    """Determines the side of a recording from the file and the caller's request.
 
     Args:
         labels: the side labels in the file; empty if it has none.
@@ -444,7 +446,7 @@ _LONG = 10**12  # frames; longer than any recording
 
 
 def frame_slice(text: str, length: int | None) -> slice:
-    """Parse a range ``A:B``, which has the meaning of a Python slice.
+    """Parses a range ``A:B``, which has the meaning of a Python slice.
 
     ``:500`` is the first 500 frames, ``2600:3100`` the frames 2600 .. 3099, ``-500:`` the last 500;
     an end beyond the recording means its end.

@@ -1,4 +1,5 @@
-"""Clips: recordings of one or two human hands with the scene around them, and parts of clips."""
+"""Clips: recordings of one or two human hands with the scene around them; also cuts clips into
+parts."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ SIDES: Final[tuple[Side, Side]] = ("right", "left")
 
 @dataclass(frozen=True, eq=False)
 class ObjectTrack:
-    """A rigid object over a clip.
+    """Poses of a rigid object over a clip.
 
     Attributes:
         name: name of the object.
@@ -60,7 +61,7 @@ class ObjectTrack:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One or two hands with the same timestamps, and the known parts of the scene.
+    """One or two hands with the same timestamps, and what is known of the scene.
 
     Attributes:
         name: name of the clip among those of its source, with slashes: ``part1/pick_place/12``.
@@ -126,7 +127,8 @@ class Clip:
 
     @property
     def world(self) -> str | None:
-        """Name of the frame of wrists, objects and camera; None if no wrist is known."""
+        """Name of the frame in which wrists, objects and camera are given; None if no wrist is
+        known."""
         return next((hand.world for hand in self.hands.values() if hand.world is not None), None)
 
 
@@ -195,8 +197,8 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
 
 
 def with_side(clip: Clip, side: Side | None) -> Clip:
-    """Returns the clip with only one of its hands; None keeps all. RecordingError if it does not
-    have that hand."""
+    """Returns the clip with only one of its hands; None keeps all hands. Raises RecordingError if
+    the clip does not have that hand."""
     if side is None or set(clip.hands) == {side}:
         return clip
     if side not in clip.hands:
@@ -211,7 +213,7 @@ def with_side(clip: Clip, side: Side | None) -> Clip:
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """Settings of a reader that the files do not contain.
+    """Settings of a reader for what the files do not state.
 
     Attributes:
         rate: frame rate [Hz] of layouts without timestamps; None for the layout's own rate.

@@ -38,7 +38,7 @@ def config_path(path: str | os.PathLike[str]) -> Path:
 def write_commands(
     path: str | os.PathLike[str], commands: CommandTrajectory, config: Mapping[str, Any]
 ) -> None:
-    """Write a trajectory of commands and the resolved configuration that it was computed with.
+    """Writes a trajectory of commands and the resolved configuration from which it was computed.
 
     ``OUT.npz`` holds ``joint_positions`` (T, n) float64 [rad], ``joint_names`` (n,) text,
     ``timestamps`` (T,) float64 [s], ``latency_ms`` (T,) float64, ``status`` (T,) int8 codes of
@@ -60,15 +60,15 @@ def write_commands(
 
 def encode_commands(commands: CommandTrajectory) -> bytes:
     """Encodes ``OUT.npz`` as bytes. Equal commands give equal bytes at any time and on any machine.
-    RecordingError if the arrays of the trajectory do not match."""
+    Raises RecordingError if the arrays of the trajectory do not match."""
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **command_arrays(commands))  # members without a date
     return stream.getvalue()
 
 
 def command_arrays(commands: CommandTrajectory) -> dict[str, np.ndarray]:
-    """Arrays of ``OUT.npz`` by name; RecordingError if the arrays of the trajectory do not
-    match."""
+    """Returns the arrays of ``OUT.npz`` by name; RecordingError if the arrays of the trajectory do
+    not match."""
     arrays = {
         "joint_positions": np.asarray(commands.joint_positions, np.float64),
         "joint_names": np.asarray(commands.joint_names, np.str_),
@@ -84,7 +84,7 @@ def command_arrays(commands: CommandTrajectory) -> dict[str, np.ndarray]:
 def write_encoded_commands(
     path: str | os.PathLike[str], encoded: bytes, config: Mapping[str, Any]
 ) -> None:
-    """Write the bytes from ``encode_commands``, like ``write_commands``.
+    """Writes the bytes from ``encode_commands`` in the same way as ``write_commands``.
 
     For callers that store a digest of one file in the other.
 
@@ -103,7 +103,7 @@ def write_encoded_commands(
 
 @contextlib.contextmanager
 def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[bytes]]:
-    """Writes ``OUT.npz`` and, if given, its configuration: both files or none.
+    """Writes ``OUT.npz`` and, if given, its configuration. Writes both files or neither.
 
     The result is written to the disk before the configuration is moved to its place, and is itself
     moved after the configuration. Therefore a full disk leaves the earlier files unchanged, and a
@@ -130,7 +130,7 @@ def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[
 
 
 def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
-    """Read what ``write_commands`` wrote.
+    """Reads what ``write_commands`` wrote.
 
     Args:
         path: ``OUT.npz``.
@@ -172,7 +172,7 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
 
 
 def only_commands(path: Path) -> bool:
-    """True if a file contains commands and no hand; False if it can't be read."""
+    """True if a file contains commands but no hand; False if it can't be read."""
     try:
         if file_kind(path) not in ("npy", "npz"):
             return False
@@ -204,8 +204,9 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
 
 
 def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
-    """Converts status codes to those of this version, by name if the file has names; RecordingError
-    if the codes are not whole numbers, or this version does not know one of them."""
+    """Converts status codes to those of this version, by name if the file has names. Raises
+    RecordingError if the codes are not whole numbers, or if this version does not know one of them.
+    """
     if codes.dtype.kind not in "iu":
         raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")
     own = {status.name: int(status) for status in Status}

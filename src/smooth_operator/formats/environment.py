@@ -1,4 +1,5 @@
-"""Versions and hardware on which a result depends; they are stored with every result."""
+"""Records the versions and hardware on which a result depends; they are stored with every
+result."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ PACKAGES = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 
 
 def environment() -> dict[str, Any]:
-    """Versions, machine and date."""
+    """Returns versions, machine and date."""
     return {
         "versions": versions(),
         "platform": platform.platform(),
@@ -29,7 +30,7 @@ def environment() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, of this program and of the libraries that compute."""
+    """Returns the versions of Python, of this program and of the libraries used for computing."""
     return {
         "python": platform.python_version(),
         "smooth-operator": package_version(),
@@ -46,7 +47,7 @@ def _version(package: str) -> str:
 
 
 def processor() -> str:
-    """Name of the processor."""
+    """Returns the name of the processor."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

@@ -17,7 +17,7 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Status, unit
 
 @dataclass(frozen=True, eq=False)
 class StateTrajectory:
-    """Measured states of a robot hand, real or simulated, and efforts of its actuators.
+    """Measured states of a real or simulated robot hand, and the efforts of its actuators.
 
     Attributes:
         stamps: (S,) increasing times of the measurements [s], on the clock of the episode's
@@ -83,7 +83,7 @@ class StateTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class ArmTrack:
-    """Commands and states of an arm: one row for each command of the hand's fingers.
+    """Commands and states of an arm, with one row for each command of the hand's fingers.
 
     Attributes:
         name: name of the arm.
@@ -181,7 +181,7 @@ DERIVED_META: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One demonstration: the common form through which file formats are converted.
+    """One demonstration, in the common form through which file formats are converted.
 
     Attributes:
         recording: the hand, or None.
@@ -254,7 +254,8 @@ class Episode:
         return {key: value for key, value in meta.items() if key not in DERIVED_META}
 
     def answered(self) -> Int[np.ndarray, " C"]:
-        """Index of the frame of each command, found by its timestamp; -1 if no frame has it.
+        """Index of the frame from which each command was computed, found by its timestamp; -1 if no
+        frame has that timestamp.
 
         Without a hand, each command is its own frame.
         """
@@ -297,9 +298,9 @@ class Episode:
         )
 
     def joined(self, other: Episode, where: str) -> Episode:
-        """Returns this recording with the commands of another file. RecordingError if ``other``
-        contains no commands; this episode already has commands, or has no hand; or a command
-        belongs to none of the frames."""
+        """Returns this recording with the commands of another file. Raises RecordingError if
+        ``other`` contains no commands, if this episode already has commands or has no hand, or if a
+        command belongs to none of the frames."""
         if other.commands is None:
             raise RecordingError(
                 f"{where}: it contains no commands; name the OUT.npz that retarget wrote"

@@ -71,7 +71,7 @@ _LEVELS: Final = 4  # from a file of a LeRobot data set up to its folder
 
 
 def foreign_file(path: Path) -> str | None:
-    """Kind of a file of another program, with advice; None if unknown.
+    """Names the kind of a file of another program, with advice; None if it is unknown.
 
     Args:
         path: a plain file.
@@ -102,12 +102,13 @@ def foreign_file(path: Path) -> str | None:
 
 
 def foreign_suffix(suffix: str) -> str | None:
-    """Kind of a file of another program, recognised by its suffix in lower case."""
+    """Names the kind of a file of another program, from its suffix in lower case."""
     return _SUFFIXES.get(suffix)
 
 
 def is_dataset(path: Path) -> bool:
-    """True for the folder of a LeRobot dataset, of any version and program."""
+    """True for the folder of a LeRobot dataset, whatever its version and the program that wrote
+    it."""
     return (path / "meta" / "info.json").is_file()
 
 
@@ -146,7 +147,7 @@ def _names_of(feature: Any) -> str:
 
 
 def body_parameters(shapes: Mapping[str, tuple[int, ...]]) -> str | None:
-    """Description of arrays that contain the parameters of a whole body; None for other arrays.
+    """Describes arrays that contain whole-body parameters (such as SMPL-X); None for other arrays.
 
     Args:
         shapes: name -> shape of the arrays of a file.

@@ -1,4 +1,5 @@
-"""Arrays that accompany the landmarks in a file: validity flags, poses, confidences, timestamps."""
+"""Reads arrays that accompany the landmarks in a file: validity flags, poses, confidences,
+timestamps."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _ZERO: Final = 1e-6
 def validity(
     stored: StoredArray, count: int, picked: Sequence[int], nodes: int
 ) -> Bool[np.ndarray, "T 21"]:
-    """Reads validity flags: one per frame, one per landmark, or one per point of the tracker.
+    """Reads validity flags: one per frame, one per landmark, or one per tracker point.
 
     Args:
         stored: the array; true and false, or 1 and 0 of any type of number.
@@ -65,7 +66,7 @@ def _content(values: np.ndarray) -> str:
 
 
 def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.ndarray, "T 7"]:
-    """Reads the poses of a file, one per frame; NaN if unknown.
+    """Reads the poses of a file, one per frame; unknown poses are NaN.
 
     Args:
         stored: (T, 7) x y z [m] and a unit quaternion, or (T, 4, 4) or (T, 1, 4, 4) matrices. A row
@@ -116,8 +117,8 @@ def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.
 
 
 def quaternion_order(arrays: StoredArrays) -> str:
-    """Order of the quaternions of a file, from its array ``quaternion_order``. Default: ``wxyz``.
-    RecordingError if the array names another order."""
+    """Returns the order of the quaternions in a file, which its array ``quaternion_order`` states.
+    Default: ``wxyz``. Raises RecordingError if the array names an unknown order."""
     labels = {"wxyz"}
     if "quaternion_order" in arrays:
         labels = {text.strip().lower() for text in arrays["quaternion_order"].texts()}
@@ -130,7 +131,7 @@ def quaternion_order(arrays: StoredArrays) -> str:
 
 
 def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
-    """Checks confidences, which must be at most 1: negative values (no hand) become 0, and values
+    """Checks confidences, which must be at most 1. Negative values (no hand) become 0, and values
     that are not finite become NaN.
 
     Args:
@@ -172,7 +173,7 @@ def own_stamps(
 
 
 def unread_flags(arrays: StoredArrays, read: Container[str]) -> list[str]:
-    """Names of arrays that look like flags or confidences of the hand, but are not read."""
+    """Names of arrays that look like flags or confidences of the hand, but are not used."""
     return [
         name
         for name in arrays

@@ -106,7 +106,7 @@ class _Table:
 def read_landmark_csv_hands(
     path: Path, rate: float | None, side: Side | None = None
 ) -> dict[Side, HandRecording]:
-    """Reads the hands of a plain table by side.
+    """Reads the hands in a plain table, by side.
 
     Args:
         rate: frame rate [Hz], for a table without ``timestamp``.

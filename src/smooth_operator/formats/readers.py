@@ -56,7 +56,7 @@ def read_recording(
     side: Side | None = None,
     layout: str | None = None,
 ) -> HandRecording:
-    """Read a recording of one hand.
+    """Reads a recording of one hand.
 
     The format is recognised by the first bytes of the file (for some plugins, by its suffix). These
     formats can be read:
@@ -119,7 +119,8 @@ def read_recording(
 def read_assumed(
     path: Path, assumed: Side, *, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """Read a recording like ``read_recording``; ``assumed`` is its side if the file states none.
+    """Reads a recording like ``read_recording``; a file that states no side is read as a hand of
+    the side ``assumed``.
 
     Raises:
         RecordingError: as ``read_recording``.
@@ -130,13 +131,13 @@ def read_assumed(
 
 
 class Files:
-    """Reader of any recording of one hand; a file is one clip."""
+    """Reader of any recording of one hand; each file is one clip."""
 
     what = "a recording of one hand"
     expects = "a file that 'smooth-operator retarget' reads"
 
     def matches(self, path: Path) -> bool:
-        """True if the name is that of a recording, and the file contains more than commands."""
+        """True if the file has the name of a recording and contains more than commands."""
         return named_as_recording(path) and path.is_file() and not only_commands(path)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
@@ -144,7 +145,7 @@ class Files:
         yield ClipRef(path.stem, path, layout="files", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads the clip's hand.
+        """Reads the hand of a clip.
 
         Raises:
             RecordingError: as ``read_recording``.
@@ -400,7 +401,7 @@ _QUATERNION_COLUMNS = {"wxyz": (3, 4, 5, 6), "xyzw": (6, 3, 4, 5)}
 def manus_nodes(
     arrays: StoredArrays,
 ) -> tuple[Float[np.ndarray, "T 25 3"], Float[np.ndarray, "T 25 4"], dict[str, Any]]:
-    """Read ``data`` of a MANUS ``.npz``: columns px py pz [m] and a quaternion for each node.
+    """Reads ``data`` of a MANUS ``.npz``: columns px py pz [m] and a quaternion for each node.
 
     The node with id i is at index i of the results, whatever the order in the file. If
     ``keypoint_ids`` or ``quaternion_order`` is not in the file, the glove's own order (0 .. 24,

@@ -1,4 +1,4 @@
-"""Registry of the readers, built-in and of plugins: how files are recognised and read.
+"""Registry of the readers, built-in and from plugins; it determines which reader reads a file.
 
 A reader returns clips. A recording is a clip of one hand; ``read_recording`` returns the hand.
 """
@@ -58,7 +58,7 @@ RESEARCH_LAYOUTS: Final = (
 
 
 class ClipReader(Protocol):
-    """Reader of a layout of files or folders: finds the clips in them, and reads a clip."""
+    """Reader of one layout of files or folders. It finds the clips in them, and reads a clip."""
 
     what: str
     """Description of its files, for messages, such as ``an HDF5 file of EgoDex``."""
@@ -67,7 +67,7 @@ class ClipReader(Protocol):
     """Names of the files and arrays that it needs, for messages."""
 
     def matches(self, path: Path) -> bool:
-        """True if a file or folder is of this layout. It opens as little as it can.
+        """True if a file or folder has this layout. Reads as little of it as possible.
 
         A folder is tested before its contents. A folder that matches is not searched further.
         """
@@ -89,7 +89,8 @@ class ClipReader(Protocol):
 
 @dataclass(frozen=True)
 class Reader:
-    """Reader of a file format with one recording per file: a clip of one hand or of both.
+    """Reader of a file format with one recording per file, which is a clip of one hand or of both
+    hands.
 
     Attributes:
         what: description of its files, for messages, such as ``a .csv file of landmarks``.
@@ -141,19 +142,20 @@ class Reader:
         return path.suffix.lower() in self.suffixes
 
     def matches(self, path: Path) -> bool:
-        """True for a file with a suffix and the first bytes of this format."""
+        """True for a file with a suffix of this format and the first bytes of this format."""
         if path.suffix.lower() not in self.suffixes or not path.is_file():
             return False
         with path.open("rb") as stream:
             return self.recognises(path, stream.read(_HEAD_BYTES))
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """Yields the reference to the clip of a file."""
+        """Yields the reference to the only clip of a file."""
         yield ClipRef(path.stem, path, size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Reads the clip of a file. The hands of a clip of both have common stamps; a missing hand
-        is NaN. RecordingError if the file can't be used, or its units, order or side are wrong."""
+        """Reads the clip of a file. If it has both hands, they have common timestamps, and a
+        missing hand is NaN. Raises RecordingError if the file can't be used, or if its units, order
+        or side are wrong."""
         if self.read_hands is not None:
             where = str(ref.path)
             hands = _loaded(self.read_hands)(ref.path, options.rate, options.side)
@@ -219,8 +221,8 @@ def _loaded(function: Callable[..., Any] | Entry) -> Callable[..., Any]:
 def rated_if_unstamped(
     read: Callable[[float | None], _Read], rate: float | None
 ) -> tuple[_Read, float | None]:
-    """Reads a file without the rate first, and with the rate if that fails: files without stamps
-    need it.
+    """Reads a file without the rate first and, if that fails, with the rate, which files without
+    timestamps need.
 
     Args:
         read: reads the file with a rate [Hz], or with None.
@@ -243,7 +245,7 @@ def rated_if_unstamped(
 def with_assumed_side(
     read: Callable[[Side | None], HandRecording], side: Side | None, assumed: Side
 ) -> HandRecording:
-    """Reads a recording; ``assumed`` is its side if the file states none.
+    """Reads a recording; a file that states no side is read as a hand of the side ``assumed``.
 
     Args:
         read: reads the file as a hand of the given side, or of the file's own side for None.
@@ -364,7 +366,7 @@ READERS: Final = Registry(
 
 
 def find_reader(name: str) -> ClipReader:
-    """Returns the reader with a name.
+    """Returns the reader of a given name.
 
     Raises:
         UnknownNameError: there is no such reader.
@@ -376,7 +378,7 @@ def find_reader(name: str) -> ClipReader:
 
 
 def recording_format(kind: str) -> Reader:
-    """Returns the reader for a kind of recording that ``file_kind`` found."""
+    """Returns the reader for a kind of recording, as named by ``file_kind``."""
     return _recording_formats()[kind] if kind not in ONE_HAND else ONE_HAND[kind]
 
 
@@ -389,7 +391,7 @@ def _recording_formats() -> dict[str, Reader]:
 
 
 def clip_readers() -> dict[str, ClipReader]:
-    """Returns the readers by name, in the order in which they are asked about a path.
+    """Returns the readers by name, in the order in which they are asked whether they match a path.
 
     Readers whose attribute ``generic`` is true come after the others. ``files``, the last, reads
     all formats with one hand.
@@ -424,8 +426,8 @@ def recording_suffixes() -> tuple[str, ...]:
 
 
 def named_as_recording(path: Path) -> bool:
-    """True for a name that ends as those of recordings do. A table must also have their header,
-    since most tables beside recordings have other data."""
+    """True if a file has the suffix of a recording. A table must also have the header of a
+    recording, since most tables beside recordings have other data."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         return any(reader.matches(path) for reader in _recording_formats().values())
@@ -433,8 +435,8 @@ def named_as_recording(path: Path) -> bool:
 
 
 def files_below(folder: Path, leave: Iterable[Path] = ()) -> Iterator[Path]:
-    """Yields the files and LeRobot data sets in a folder and its subfolders, sorted by name in each
-    folder. Hidden ones are skipped; links are followed once.
+    """Yields the files and LeRobot data sets in a folder and its subfolders, sorted by name within
+    each folder. Hidden files are skipped; links are followed once.
 
     Args:
         leave: resolved files and folders to skip.
@@ -463,7 +465,7 @@ def files_below(folder: Path, leave: Iterable[Path] = ()) -> Iterator[Path]:
 
 
 def readable() -> str:
-    """List of the formats that are read, for error messages."""
+    """Lists the formats that can be read, for error messages."""
     formats = _recording_formats()
     *most, last = (
         "a MANUS .npz",
@@ -484,7 +486,7 @@ _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")
 
 
 def file_kind(path: Path) -> str:
-    """Find the format of a file by its first bytes or, for some plugins, by its suffix.
+    """Finds the format of a file by its first bytes or, for some plugins, by its suffix.
 
     Returns:
         Its name in ``READERS``.
@@ -543,7 +545,8 @@ def file_kind(path: Path) -> str:
 
 
 def is_video_head(head: bytes) -> bool:
-    """True for a video, by the first 12 bytes of the file: MP4 and MOV, AVI, Matroska and WebM."""
+    """True if the first 12 bytes of a file are those of a video: MP4, MOV, AVI, Matroska or
+    WebM."""
     return (
         head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free")
         or head.startswith(b"\x1aE\xdf\xa3")

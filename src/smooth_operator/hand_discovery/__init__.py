@@ -1,4 +1,4 @@
-"""Derives the description of a hand from a URDF or MJCF file, and checks descriptions.
+"""Derives the description of a hand from a URDF or MJCF file, and checks hand descriptions.
 
 ``discover`` makes the description and states a confidence for each finding. ``check_hand`` gives
 the checklist of a hand; ``round_trip`` asks one retargeter for poses that its hand can reach.

@@ -1,4 +1,5 @@
-"""Search for a hand in a model: chains that branch from its palm, and the fingertips at their ends.
+"""Searches a model for a hand: chains of links that branch from its palm, and the fingertips at
+their ends.
 
 A fingertip is a site or a tip link. Without one, it is the far end of the last link's shape."""
 
@@ -51,13 +52,13 @@ class Chain:
 
     @property
     def own(self) -> tuple[int, ...]:
-        """Joints that move no other finger."""
+        """Joints that move this finger and no other."""
         return self.joints[self.shared :]
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A chain that does not count as a finger.
+    """A chain that is not taken to be a finger.
 
     Attributes:
         last: its last moving body.
@@ -72,7 +73,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class HandTree:
-    """A palm with its fingers in any order, and chains that are not fingers (``left_out``)."""
+    """A palm with its fingers in any order, and the chains that are not fingers (``left_out``)."""
 
     palm: int
     chains: tuple[Chain, ...]
@@ -96,14 +97,14 @@ class Branches:
 
     @cached_property
     def leaves(self) -> tuple[int, ...]:
-        """Last moving bodies of all chains."""
+        """Last moving body of each chain."""
         model = self._skeleton.model
         moving = [b for b in range(1, model.nbody) if model.body_jntnum[b]]
         above = {int(model.body_weldid[model.body_parentid[b]]) for b in moving}
         return tuple(b for b in moving if b not in above)
 
     def find(self) -> tuple[HandTree, ...]:
-        """All hands of the model; HandModelError if there is no hand."""
+        """Finds all hands of the model; HandModelError if there is none."""
         hands = self._below(self.leaves)
         if not hands:
             why = "; ".join(self.reasons) or (
@@ -117,7 +118,8 @@ class Branches:
         return tuple(hands)
 
     def at(self, palm: str) -> HandTree:
-        """The hand with a given palm. If it has more than five chains, only declared fingers count.
+        """Returns the hand with a given palm. If it has more than five chains, only declared
+        fingers count.
 
         Raises:
             UnknownNameError: there is no such body.
@@ -357,7 +359,7 @@ class Branches:
         return None
 
     def chain(self, palm: int, leaf: int, shared: int = 0) -> Chain:
-        """The chain of links from a palm to a last moving body."""
+        """Returns the chain of links from a palm to a last moving body."""
         skeleton, at = self._skeleton, self._rest
         path = skeleton.path(leaf)
         bodies = path[path.index(palm) + 1 if palm in path else 0 :]
@@ -376,7 +378,7 @@ class Branches:
 
 
 def far_point(skeleton: Skeleton, at: Placement, leaf: int, start: np.ndarray) -> np.ndarray:
-    """Finds the frame, site or point of a shape that is farthest from the last link's joint."""
+    """Finds the frame, site or shape point that is farthest from the last link's joint."""
     rigid = skeleton.rigid(leaf)
     points = [at.bodies[list(rigid)], at.sites[np.isin(skeleton.model.site_bodyid, rigid)]]
     points += [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
@@ -389,7 +391,7 @@ def far_point(skeleton: Skeleton, at: Placement, leaf: int, start: np.ndarray) -
 
 
 def holds(skeleton: Skeleton, chain: Chain, name: str) -> bool:
-    """True if a body or joint of that name belongs to a chain."""
+    """True if a body or joint with that name belongs to a chain."""
     rigid = (*chain.bodies, *skeleton.rigid(chain.last))
     bodies = {skeleton.body_name(b) for b in rigid}
     return name in bodies or name in {skeleton.joint_names[j] for j in chain.own}
@@ -555,7 +557,7 @@ _ROUNDS: Final = 4
 
 @dataclass(frozen=True)
 class End:
-    """End of a link, in the world frame.
+    """Far end of a link, in the world frame.
 
     Attributes:
         tip: (3,) end of its pad [m]: the far end, or a point a little behind a nail.
@@ -574,7 +576,7 @@ def far_end(
     axis: Float[np.ndarray, "3"],
     scale: float,
 ) -> End | None:
-    """Finds the far end of a link on the middle line of its shapes.
+    """Finds the far end of a link, on the centre line of its shapes.
 
     The middle line runs through the centres of two sections, one near the joint and one near the
     end. Line and end are computed in turns.

@@ -21,7 +21,7 @@ nothing was measured, and ``Check.measured`` gives the reason."""
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the checklist.
+    """One line of the checklist that ``hands check`` prints.
 
     Attributes:
         name: name of the check.
@@ -80,7 +80,8 @@ class HandValidation:
 
 
 def worst(*verdicts: Verdict) -> Verdict:
-    """The worst of several verdicts; ok without one. Only ok, warning and failed count."""
+    """Returns the worst of several verdicts, or ok if there are none. Only ok, warning and failed
+    count."""
     order: tuple[Verdict, ...] = ("ok", "warning", "failed")
     return max((v for v in verdicts if v in order), key=order.index, default="ok")
 
@@ -90,7 +91,7 @@ _POSES: Final = 800
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A hand in random poses, uniform within its limits. In some of them its parts collide.
+    """A hand in random poses, uniform within its limits. Some of these poses are self-collisions.
 
     Attributes:
         hand: the hand.
@@ -124,7 +125,7 @@ class Samples:
 
 
 def movers(hand: Hand, landmark: str) -> tuple[int, ...]:
-    """Indices of the joints that move a landmark, from the palm to the tip."""
+    """Indices of the joints that move a landmark, in order from the palm to the tip."""
     out: list[int] = []
     joint = hand.tree.keypoints[landmark].joint
     while joint >= 0:

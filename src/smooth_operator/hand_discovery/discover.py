@@ -1,4 +1,4 @@
-"""Analysis of a model file: the description of its hand, with all findings."""
+"""Analyses a model file and describes the hand in it, with all findings."""
 
 from __future__ import annotations
 
@@ -459,7 +459,8 @@ def _align(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def hand_name(path: Path) -> str:
-    """Name of a hand, from the file's name or, if that is generic, from a folder above it."""
+    """Name for a hand, taken from the file's name or, if that is generic, from a folder above
+    it."""
     for text in (path.stem, *(folder.name for folder in path.resolve().parents[:3])):
         parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
         name_words = [w for w in parts if w not in _GENERIC]
@@ -563,7 +564,7 @@ def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
 
 
 def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
-    """Warnings about couplings whose sign differs from the file."""
+    """Warnings about couplings whose sign differs from that in the file."""
     return tuple(
         f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: "
         f"{_turned(c)}. Check it on the hand; if the limits are wrong, correct them in the "

@@ -30,7 +30,7 @@ _CLEAR: Final = 0.12  # distance over a finger's length at which a thumb is clea
 
 @dataclass(frozen=True, eq=False)
 class FlexionAxes:
-    """Pointing and closing directions of the fingers other than the thumb, palm frame.
+    """Pointing and closing directions of the fingers other than the thumb, in the palm frame.
 
     Attributes:
         names: fingers that clearly fold in one direction.
@@ -49,14 +49,14 @@ class FlexionAxes:
 
     @property
     def palmar(self) -> Float[np.ndarray, "3"]:
-        """Direction out of the palm: the mean direction in which most fingers close."""
+        """Direction out of the palm: the mean of the directions in which most fingers close."""
         near = self.closing @ self.closing.T
         most = int(np.argmax((near > _AGREE).sum(axis=1) + near.mean(axis=1)))
         return _unit(self.closing[near[most] > _AGREE].mean(axis=0))
 
     @property
     def lateral(self) -> Float[np.ndarray, "3"]:
-        """Direction across the palm, to the thumb's side of a right hand."""
+        """Direction across the palm, towards the thumb's side of a right hand."""
         return _unit(np.cross(self.forward.mean(axis=0), self.palmar))
 
 
@@ -155,7 +155,7 @@ class _Bend:
 
 
 def check_flexion(axes: FlexionAxes | None) -> Check:
-    """Checks that all fingers close towards one side."""
+    """Checks that all fingers close in the same direction."""
     if axes is None:
         return Check("flexion", "skipped", "no finger bends enough to determine a direction")
     cosines = axes.closing @ axes.palmar
@@ -179,7 +179,8 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
 
 
 def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
-    """Checks that thumb, order of fingers and closing direction agree with the declared side."""
+    """Checks that the thumb, the order of the fingers and the closing direction agree with the
+    declared side."""
     hand = samples.hand
     if hand.spec.gripper:
         return Check("side", "ok", "a gripper has no side: either human hand drives it")
@@ -236,7 +237,8 @@ _LONG: Final = 1.7  # largest last phalanx over the longest other one; built-in 
 
 
 def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
-    """Checks that each tip moves, belongs to one finger, is near its link, and not in other parts.
+    """Checks that each fingertip moves, belongs to one finger, is near its link, and is not inside
+    other parts.
 
     Returns:
         The check, and the fingers with a sound tip.

@@ -1,4 +1,5 @@
-"""Grippers with one moving jaw: the jaw, the part that it closes against, and the pads of both."""
+"""Finds, in grippers with one moving jaw, the jaw, the part that it closes against, and the pads of
+both."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ _NEUTRAL: Final = 0.4  # position between closed and open
 
 @dataclass(frozen=True)
 class Jaws:
-    """A moving jaw and a fixed one.
+    """The moving jaw and the fixed jaw of a gripper.
 
     Attributes:
         palm: body that carries both.
@@ -54,7 +55,7 @@ class Jaws:
 
 
 def gripper_palm(skeleton: Skeleton, branches: Branches, joint: str) -> tuple[str, Chain | None]:
-    """Body that carries a gripper, found from the joint of a jaw.
+    """Body that carries the jaws of a gripper, found from the joint of a jaw.
 
     Args:
         joint: a hinge or slide with limits, of which one link follows another without a branch.

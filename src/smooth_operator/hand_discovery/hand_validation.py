@@ -1,4 +1,4 @@
-"""Validation of a hand description: all checks, and the round trip of poses through every method.
+"""Validates a hand description: runs all checks, and retargets known poses with every method.
 
 A fault is reported once: a check that depends on a failed one is skipped. A round trip retargets
 the landmarks of a pose of the hand; the result should be the same pose."""
@@ -55,7 +55,7 @@ _TRIES: Final = 40  # largest number of random poses for each requested one
 
 
 def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m"]:
-    """Random poses within the limits, without pinches, that a real hand can take.
+    """Random poses within the limits that a real hand can take, without pinches.
 
     The poses are uniform in every actuated joint, under two rules. No two parts of the hand overlap
     by more than a millimetre, as far as the model has shapes. The thumb's tip is at least 20 mm
@@ -105,7 +105,7 @@ _EVALUATIONS: Final = 60
 
 
 def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
-    """Finds the fingers with which the thumb can pinch, and the smallest gaps of the others.
+    """Finds the fingers with which the thumb can pinch, and the smallest gap to each other finger.
 
     It measures the landmarks of the tips, and the surfaces of the last links, which touch earlier.
     A gap is the smallest within the limits, whatever the pose of the rest of the hand.
@@ -162,7 +162,7 @@ _VARIED: Final = 60  # variations by each of them
 
 
 def closest_surfaces(samples: Samples, finger: str, start: Float[np.ndarray, " m"]) -> float:
-    """Smallest gap between the last links of thumb and finger over all poses within the limits [m].
+    """Smallest gap [m] between the last links of thumb and finger over all poses within the limits.
 
     Random variations, by ever smaller steps, of the best of many random poses and of ``start``.
 
@@ -196,7 +196,7 @@ def closest_surfaces(samples: Samples, finger: str, start: Float[np.ndarray, " m
 
 
 def closest_pinch(samples: Samples, finger: str) -> float:
-    """Smallest distance of the tips of thumb and finger over all poses within the limits [m].
+    """Smallest distance [m] between the tips of thumb and finger over all poses within the limits.
 
     Bounded least squares, started from the best of many random poses.
     """
@@ -242,7 +242,7 @@ _ROUNDING: Final = 1e-9  # rounding of limits in float64 [rad]
 
 @dataclass(frozen=True, eq=False)
 class RoundTrip:
-    """Errors of poses after a round trip through their landmarks.
+    """Errors of poses that were converted to landmarks and then retargeted back to joint positions.
 
     Attributes:
         tip_error_mm: (poses, F) distance of each fingertip from its position in the pose [mm],
@@ -280,7 +280,8 @@ def round_trip(
     seed: int,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> RoundTrip:
-    """Retargets poses that the hand can reach, and measures the error of the results.
+    """Retargets the landmarks of poses that the hand can reach, and measures how far the results
+    are from those poses.
 
     The input is the robot's own landmarks in random poses (``reachable_poses``). From a fresh
     state, they move from the neutral pose to the pose in 20 frames, because a live hand does not
@@ -348,7 +349,8 @@ _FAINT: Final = 1e-4
 
 
 def without_pull(config: MethodConfig) -> MethodConfig:
-    """Settings of a method with almost no pull to the neutral pose, to judge a hand or a solver."""
+    """Settings of a method with almost no pull to the neutral pose, used to judge a hand or a
+    solver."""
     if not isinstance(config, ObjectiveMethodConfig):
         return config
     weight = min(config.objective.pose_weight, _FAINT)
@@ -366,7 +368,8 @@ def check_method(
     seed: int,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> Check:
-    """Runs the round trip of one method without its pull to the neutral pose, to judge the hand."""
+    """Runs the round trip of one method without its pull to the neutral pose, to judge the hand
+    rather than the method."""
     name = f"round trip: {method}"
     try:
         # A published limit of iterations says nothing about the hand.

@@ -1,4 +1,4 @@
-"""Check of the map from human joint angles to a hand's joints, by the direction of the thumb.
+"""Checks a hand's map from human joint angles to joints, by the direction of the thumb.
 
 Gains that are measured joint by joint fail on a thumb unlike a human's, such as LEAP's. The spec
 file of such a hand has its own rows ([joint_map], ``smooth_operator.baselines.joint_angle``).
@@ -26,8 +26,9 @@ fingers are arranged around its palm."""
 
 
 def mapped_thumb_error(hand: Hand) -> float | None:
-    """Median angle between the thumbs of the built-in operator and of the hand that follows it with
-    ``joint_angle`` [deg]; None for a hand without a thumb or without such a map."""
+    """Median angle between the synthetic operator's thumb and the thumb of the robot hand that
+    follows it with ``joint_angle`` [deg]; None for a hand without a thumb or without a joint-angle
+    map."""
     base, tip = LANDMARKS[BASES[0]], LANDMARKS[TIPS[0]]
     names = hand.tree.names
     if base not in names or tip not in names:
@@ -48,7 +49,8 @@ def mapped_thumb_error(hand: Hand) -> float | None:
 
 
 def check_joint_map(hand: Hand) -> Check:
-    """Checks that ``joint_angle`` points the robot's thumb roughly as the human's thumb points."""
+    """Checks that ``joint_angle`` points the robot's thumb in roughly the direction of the human's
+    thumb."""
     away = mapped_thumb_error(hand)
     if away is None:
         return Check("joint map", "skipped", "not checked: there is no joint map for the thumb")

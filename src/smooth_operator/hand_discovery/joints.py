@@ -1,4 +1,4 @@
-"""Checks of joints, neutral pose and palm: limits, effect of each joint, sizes, overlaps."""
+"""Checks joints, neutral pose and palm: limits, effect of each joint, sizes, overlaps."""
 
 from __future__ import annotations
 
@@ -156,8 +156,8 @@ def check_neutral(hand: Hand) -> Check:
 
 
 def check_shapes(samples: Samples) -> Check:
-    """Checks that links have shapes for self-collision, or estimated ones, and that no two of them
-    overlap in a large share of random poses."""
+    """Checks that links have collision shapes, or estimated ones, and that no two of them overlap
+    in a large share of random poses."""
     hand = samples.hand
     links, solid = stand_in_links(hand), int(solid_shapes(hand).sum())
     owner = owners(hand)
@@ -240,7 +240,7 @@ _BEHIND_DEG: Final = 72.0
 
 
 def check_palm(samples: Samples) -> Check:
-    """Checks that the landmarks of the palm span a frame and do not move."""
+    """Checks that the landmarks of the palm define a frame and do not move."""
     hand = samples.hand
     condition = float(palm_alignment(reference_landmarks(hand), hand).condition)
     used = [hand.tree.names.index(name) for name in _align_names(samples)]
@@ -274,7 +274,7 @@ def check_palm(samples: Samples) -> Check:
 
 
 def check_wrist(samples: Samples) -> Check:
-    """Checks that the wrist is behind the knuckles, opposite to the fingers.
+    """Checks that the wrist is behind the knuckles, on the opposite side from the fingers.
 
     The fingers point from base to tip when they are straight; if they point in opposite directions,
     as in a gripper that opens flat, they point where their tips are on average.
@@ -303,7 +303,8 @@ def check_wrist(samples: Samples) -> Check:
 
 
 def check_tilt(samples: Samples) -> Check:
-    """Measures the angle between the fingers of a flat human hand and the robot's straight ones."""
+    """Measures the angle between the fingers of a flat human hand and the straight fingers of the
+    robot."""
     tilt = palm_tilt_deg(samples.hand)
     way = "towards the palm" if tilt > 0 else "to the back of the hand"
     text = f"a flat human hand bends the straight fingers by {abs(tilt):.0f}° {way}"
@@ -346,7 +347,8 @@ def _align_names(samples: Samples) -> list[str]:
 
 
 def palm_tilt_deg(hand: Hand) -> float:
-    """Angle by which a flat human hand, once aligned, bends the long fingers at their bases [deg].
+    """Angle at their bases between the long fingers of a flat human hand, once aligned, and those
+    of the robot [deg].
 
     Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
     robot hand (``open_rays``) then point in different directions. If the angle is positive, a flat
@@ -359,7 +361,7 @@ def palm_tilt_deg(hand: Hand) -> float:
 
 
 def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
-    """(F, 3) vectors from base to tip of each finger of the open hand, palm frame [m].
+    """(F, 3) vectors from base to tip of each finger of the open hand, in the palm frame [m].
 
     Its joints are at zero, or as close to zero as their limits allow, because vendors define the
     open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.

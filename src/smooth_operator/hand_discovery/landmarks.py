@@ -1,4 +1,5 @@
-"""Findings about a model with confidence and evidence; landmarks of fingers, bases and wrist."""
+"""Findings about a model, each with its confidence and evidence, and the landmarks of the fingers,
+finger bases and wrist."""
 
 from __future__ import annotations
 
@@ -70,7 +71,7 @@ class FoundCoupling:
 
 @dataclass(frozen=True)
 class Discovery:
-    """Description of the hand in a model, with all findings.
+    """Description of the hand in a model, with all findings about it.
 
     Attributes:
         spec: the description, ready for ``load_hand_spec``.
@@ -88,14 +89,14 @@ class Discovery:
 
     @property
     def unsure(self) -> tuple[Finding, ...]:
-        """Findings that the user should check, the least certain first."""
+        """Findings that the user should check, least certain first."""
         doubtful = [finding for finding in self.findings if finding.confidence < SURE]
         return tuple(sorted(doubtful, key=lambda finding: finding.confidence))
 
     @property
     def guesses(self) -> tuple[Finding, ...]:
-        """Findings that are little better than a guess and without which the hand is wrong: those
-        about side, palm, thumb, order of the fingers and wrist. The user must set them."""
+        """Findings that are little better than a guess, and that make the hand unusable if they are
+        wrong: side, palm, thumb, order of the fingers and wrist. The user must set them."""
         deciding = ("side", "palm", "thumb", "order", "wrist")
         return tuple(f for f in self.unsure if f.subject in deciding and f.confidence < UNSURE)
 
@@ -182,7 +183,7 @@ _WRIST: Final = 0.95  # from wrist to knuckles of a human hand
 def finger_points(
     skeleton: Skeleton, chain: Chain, bend: Bending, tip: Point, is_thumb: bool, at: Placement
 ) -> tuple[Point, Point | None, Point | None, Point]:
-    """The robot's counterparts of a finger's four human landmarks.
+    """Points of the robot's finger that correspond to the four landmarks of a human finger.
 
     A joint's origin may lie anywhere on its axis. If it lies beside the finger, the landmark is the
     point of the axis that is level with the tip.
@@ -316,7 +317,7 @@ def fix_bases(
     reach: Reach,
     neutral: Placement,
 ) -> tuple[tuple[FingerSpec, ...], dict[str, float]]:
-    """Fixes bases that joints move to the palm, at their positions in the neutral pose.
+    """Fixes finger bases that joints move to the palm, at their positions in the neutral pose.
 
     A human's knuckles don't move in the palm, and the alignment uses them: if a base moved with its
     finger, spreading the fingers would turn the whole hand.

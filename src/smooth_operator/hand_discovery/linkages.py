@@ -1,4 +1,4 @@
-"""Graph of a model's links: finds closed loops, and a tree over their hinges that opens them."""
+"""Graph of a model's links: finds closed loops, and a tree of hinges that opens them."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class Edge(NamedTuple):
     anchor: Float[np.ndarray, "3"] | None = None
 
     def other(self, body: int) -> int:
-        """Returns the body at the other end."""
+        """Returns the body at the other end of this joint."""
         return self.ends[1] if body == self.ends[0] else self.ends[0]
 
 
 class Loop(NamedTuple):
-    """Bodies that move in one or more loops with common bodies.
+    """Bodies of one loop, or of several loops that share bodies.
 
     Attributes:
         base: the body that carries them all, such as the palm.
@@ -72,12 +72,13 @@ class Loop(NamedTuple):
 
     @property
     def joints(self) -> dict[int, Edge]:
-        """Body -> hinge or slide of the new tree."""
+        """Maps each body to its hinge or slide in the opened tree."""
         return {b: edge for b, edge in self.parents.items() if edge.axis is not None}
 
 
 class Pose(NamedTuple):
-    """A pose with closed loops: positions of the model, and (nbody, 3, 3) frames in the world."""
+    """A pose in which the loops are closed: positions of the model's joints, and (nbody, 3, 3)
+    frames in the world."""
 
     qpos: Float[np.ndarray, " nq"]
     frames: Float[np.ndarray, "nbody 3 3"]
@@ -118,12 +119,12 @@ class LinkGraph:
         return [np.array(each) for each in points]
 
     def reach(self, bodies: Iterable[int], base: int) -> float:
-        """Largest distance of the shapes of some bodies from the origin of the base [m]."""
+        """Largest distance from the origin of the base to the shapes of some bodies [m]."""
         points = np.concatenate([self._corners[b] for b in bodies])
         return float(np.linalg.norm(points - self.places[base], axis=1).max())
 
     def parent(self, body: int) -> int:
-        """Body above another one in the file."""
+        """Parent of a body in the file."""
         return int(self.model.body_parentid[body])
 
     def below(self, body: int) -> set[int]:
@@ -149,7 +150,7 @@ class LinkGraph:
         return Edge(ends, kind, self.model.joint(j).name, j, axis, anchor)
 
     def joints_of(self, body: int) -> list[int]:
-        """Joints between a body and the one above it in the file."""
+        """Joints between a body and its parent in the file."""
         first = int(self.model.body_jntadr[body])
         return list(range(first, first + int(self.model.body_jntnum[body])))
 
@@ -195,8 +196,8 @@ class LinkGraph:
         yield from (Edge(pair, "fixed") for pair in welded)
 
     def loops(self) -> list[Loop]:
-        """All loops; loops with common links are joined. Loops of a body that floats or is moved by
-        hand, such as a base that a ``weld`` holds, are not included."""
+        """Returns all loops; loops that share links are joined. Loops through a body that floats or
+        is moved by hand, such as a base that a ``weld`` holds, are left out."""
         groups: list[set[int]] = []
         for edge in self.edges[self.model.nbody - 1 :]:
             one, other = map(self._path, edge.ends)
@@ -283,13 +284,13 @@ class LinkGraph:
         return out.union(*(self.below(c) for c in more - loop.moving))
 
     def free(self, loop: Loop, motors: Sequence[int]) -> Int[np.ndarray, " f"]:
-        """Degrees of freedom of a loop and of joints that joint equalities tie to it, except those
-        of its motors."""
+        """Degrees of freedom of a loop, and of joints that joint equalities tie to it, without
+        those that motors drive."""
         own = self.tied({j for b in loop.moving for j in self.joints_of(b)}) - set(motors)
         return np.flatnonzero(np.isin(self.model.dof_jntid, list(own)))
 
     def tied(self, joints: set[int]) -> set[int]:
-        """These joints and the joints that joint equalities tie to them."""
+        """Returns these joints and all joints that joint equalities tie to them."""
         model, out = self.model, set(joints)
         ties = [
             {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])} - {-1}
@@ -302,7 +303,8 @@ class LinkGraph:
     def rows(
         self, qpos: Float[np.ndarray, " nq"], free: Int[np.ndarray, " f"]
     ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r f"]]:
-        """Gaps of the equalities that some degrees of freedom change, and their derivatives."""
+        """Residuals of the equalities that some degrees of freedom change, and their
+        derivatives."""
         self.data.qpos[:] = qpos
         mujoco.mj_fwdPosition(self.model, self.data)
         jacobian = self.data.efc_J.reshape(-1, self.model.nv)[:, free]
@@ -312,8 +314,8 @@ class LinkGraph:
     def closed(
         self, qpos: Float[np.ndarray, " nq"], free: Int[np.ndarray, " f"]
     ) -> Float[np.ndarray, " nq"] | None:
-        """Nearest pose with closed loops, by Gauss-Newton steps of some degrees of freedom; None
-        if a gap remains."""
+        """Finds the nearest pose with closed loops by Gauss-Newton steps of some degrees of
+        freedom; None if a gap remains."""
         for _ in range(_STEPS):
             gap, jacobian = self.rows(qpos, free)
             step = np.zeros(self.model.nv)
@@ -326,7 +328,7 @@ class LinkGraph:
         return qpos if np.abs(gap).max(initial=0.0) < _OPEN else None
 
     def pose(self, qpos: Float[np.ndarray, " nq"]) -> Pose:
-        """The pose with given positions of the model's joints."""
+        """Returns the pose with given positions of the model's joints."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         return Pose(qpos, self.data.xmat.reshape(-1, 3, 3).copy())

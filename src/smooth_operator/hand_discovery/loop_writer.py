@@ -1,4 +1,4 @@
-"""Writes a model with opened loops: an MJCF file with the new tree, and the meshes."""
+"""Writes a model whose loops were opened: an MJCF file with the new tree, and the meshes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from smooth_operator.hands.spec import Coupling
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """Joints of a loop that was opened.
+    """A loop that was opened, with its joints.
 
     Attributes:
         loop: the loop.

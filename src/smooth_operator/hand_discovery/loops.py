@@ -1,4 +1,5 @@
-"""Opens the closed loops of a model: bars and ball joints become polynomials of joint positions.
+"""Opens the closed loops of a model: replaces bars and ball joints by joint couplings in the form
+of polynomials.
 
 The library computes the kinematics of a tree. In some hands, bars and links form closed loops (in
 MJCF, by ``connect`` or ``weld``), and the motors move the fingers only through these loops. Such a
@@ -51,7 +52,7 @@ _MARGIN: Final = 1e-3  # of a follower's range [rad]
 
 
 class OpenModel(NamedTuple):
-    """A model without loops.
+    """A model whose loops were opened.
 
     Attributes:
         path: its MJCF file, or the original if that has no loops.
@@ -66,9 +67,10 @@ class OpenModel(NamedTuple):
 
 @contextmanager
 def opened(path: Path) -> Iterator[OpenModel]:
-    """A model with its loops opened, in a temporary folder with its meshes; the model itself if it
-    has no loops. HandModelError if the model can't be read, a loop can't be solved, or one of its
-    joints is not a polynomial of another one; the message names the joint and the error."""
+    """Yields a model with its loops opened, in a temporary folder with its meshes; a model without
+    loops stays as it is. Raises HandModelError if the model can't be read, a loop can't be solved,
+    or one of its joints is not a polynomial of another joint; the message names the joint and the
+    error."""
     loops: list[Loop] = []
     if isfile(path) and _may_have_loops(path):  # others get their message from ``discover``
         check_model_limits(path)

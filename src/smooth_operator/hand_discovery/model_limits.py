@@ -36,9 +36,9 @@ _DEEPEST: Final = 20  # depth of files that include or attach each other
 
 
 def check_model_limits(path: Path) -> None:
-    """Refuses a model file, MJCF or URDF, that MuJoCo would take too long to read; HandModelError
-    if it expands to more than ``MOST_ELEMENTS``, has an attribute that is too large, or files
-    include each other without end."""
+    """Refuses an MJCF or URDF file that MuJoCo would take too long to read. Raises HandModelError
+    if the model expands to more than ``MOST_ELEMENTS``, has an attribute that is too large, or has
+    files that include each other without end."""
     model = model_path(path)
     roots = {file: read_model_xml(file) for file in read_model_files(path).documents}
     sizes: dict[Path, float] = {}

@@ -26,7 +26,7 @@ _MANY: Final = 0.1  # share of facing pairs of poses at which fingers oppose eac
 
 @dataclass(frozen=True)
 class Bending:
-    """Bending of one finger.
+    """How one finger bends.
 
     Attributes:
         joints: hinges that bend it, base to tip; empty for a finger that only slides.
@@ -50,7 +50,7 @@ class Bending:
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Random poses of all fingers. The pose of one finger is independent of the others.
+    """Random poses of all fingers. The poses of different fingers are independent.
 
     Attributes:
         poses: (s, n) positions of all joints [rad].
@@ -80,7 +80,7 @@ class Reach:
         return np.where(gaps < _NEAR * length, cosine, -1.0)
 
     def gaps(self, i: int, j: int) -> Float[np.ndarray, "s s"]:
-        """(a, b) distances of the tips in pose a of finger i and pose b of finger j [m]."""
+        """Distances (a, b) between the tips of finger i in pose a and finger j in pose b [m]."""
         ours, theirs = self.tips[:, i], self.tips[:, j]
         squared = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2 * ours @ theirs.T
         gaps: np.ndarray = np.sqrt(np.maximum(squared, 0.0))
@@ -107,14 +107,14 @@ class Reach:
 def find_bending(
     skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...]
 ) -> tuple[Bending, ...]:
-    """Finds the bending of each finger. The other fingers decide an ambiguous direction."""
+    """Finds how each finger bends. If the direction is ambiguous, the other fingers decide it."""
     rest = skeleton.place(skeleton.reference)
     ends = np.array([tip.position for tip in tips])
     return tuple(_bending(skeleton, chain, rest, ends, i) for i, chain in enumerate(chains))
 
 
 def tip_in(skeleton: Skeleton, tip: Tip, at: Placement) -> np.ndarray:
-    """Position of a fingertip in a pose, in the world [m]."""
+    """Position of a fingertip in a pose, in the world frame [m]."""
     body = int(skeleton.model.body(tip.point.body).id)
     return at.world(body, np.array(tip.point.offset))
 
@@ -222,7 +222,7 @@ def _any_across(axis: np.ndarray) -> np.ndarray:
 def sample_reach(
     skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...], bends: tuple[Bending, ...]
 ) -> Reach:
-    """Random poses within limits, equal for equal models."""
+    """Draws random poses within the limits. Equal models give equal poses."""
     rng = np.random.default_rng(0)
     joints = skeleton.free(tuple(dict.fromkeys(j for c in chains for j in c.joints)))
     joints = tuple(j for j in joints if skeleton.bounded[j])
@@ -255,7 +255,7 @@ def sample_reach(
 
 @dataclass(frozen=True)
 class Thumb:
-    """Index of the thumb among the chains, with confidence and evidence."""
+    """Which chain is the thumb, with confidence and evidence."""
 
     index: int
     confidence: float
@@ -389,7 +389,8 @@ def find_layout(
     side_said: Side | None,
     side_given: Side | None,
 ) -> Layout:
-    """Finds side and order from the directions in which the fingers point and close.
+    """Finds the side and the order of the fingers from the directions in which the fingers point
+    and close.
 
     If the fingers point along f and close about w, the palm faces w x f, and a right hand has its
     thumb on the side of w.
@@ -617,7 +618,7 @@ def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -
 def finger_overlap(
     skeleton: Skeleton, chains: tuple[Chain, ...], q: Float[np.ndarray, " n"]
 ) -> float:
-    """Deepest overlap of shapes of two fingers in a pose [m]; 0 if no two touch.
+    """Deepest overlap between the shapes of two fingers in a pose [m]; 0 if no two fingers touch.
 
     Meshes count as their convex hulls. Pairs that the model excludes from collision do not count.
 

@@ -1,4 +1,4 @@
-"""A model as a skeleton that can be posed: joints, limits, couplings, points of shapes, names.
+"""A model as a skeleton that can be posed: joints, limits, couplings, shape points and names.
 
 Words in names are weak evidence. Only generic words count, not those of a product."""
 
@@ -43,7 +43,7 @@ _SIDE_WORDS: Final[dict[Side, tuple[str, ...]]] = {
 
 
 def words(name: str) -> tuple[str, ...]:
-    """Lower-case words of an identifier: ``rightIndexTip_2`` is right, index, tip."""
+    """Splits an identifier into lower-case words: ``rightIndexTip_2`` gives right, index, tip."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name)
     return tuple(re.findall(r"[a-z]+", spaced.lower()))
 
@@ -59,7 +59,7 @@ def says_wrist(name: str) -> bool:
 
 
 def fingers_said(chains: Sequence[Iterable[str]]) -> list[str | None]:
-    """Human finger that the names of each chain mention most.
+    """Human finger that the names in each chain mention most.
 
     Args:
         chains: names of bodies and joints of each chain. A word that all chains contain does not
@@ -108,7 +108,7 @@ def side_said(names: Iterable[str]) -> Side | None:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Positions of all parts in one pose, in the world frame [m].
+    """Positions and frames of all parts in one pose, in the world frame [m].
 
     Attributes:
         bodies: (nbody, 3) origins.
@@ -125,19 +125,19 @@ class Placement:
     sites: Float[np.ndarray, "s 3"]
 
     def world(self, body: int, points: np.ndarray) -> np.ndarray:
-        """World positions of (..., 3) points in a body's frame."""
+        """Transforms (..., 3) points from a body's frame to the world frame."""
         moved: np.ndarray = points @ self.frames[body].T + self.bodies[body]
         return moved
 
     def local(self, body: int, points: np.ndarray) -> np.ndarray:
-        """Transforms (..., 3) points from the world's frame to a body's."""
+        """Transforms (..., 3) points from the world frame to a body's frame."""
         moved: np.ndarray = (points - self.bodies[body]) @ self.frames[body]
         return moved
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """A compiled model with its couplings and points of its shapes.
+    """A compiled model with its couplings and the points of its shapes.
 
     Attributes:
         model: the compiled model.
@@ -154,12 +154,12 @@ class Skeleton:
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
-        """All joints, in the model's order."""
+        """Names of all joints, in the model's order."""
         return tuple(self.model.joint(j).name for j in range(self.model.njnt))
 
     @cached_property
     def limits(self) -> Float[np.ndarray, "n 2"]:
-        """Limits [rad or m]; infinite where a joint has none."""
+        """Joint limits [rad or m]; infinite for a joint without limits."""
         limited = self.model.jnt_limited.astype(bool)[:, None]
         ranges = np.asarray(self.model.jnt_range, np.float64)
         return np.where(limited, ranges, np.array([-np.inf, np.inf]))
@@ -183,13 +183,15 @@ class Skeleton:
         return bounded
 
     def turns_freely(self, joint: int) -> bool:
-        """True if a joint follows no other and can make a full turn, like a pin of a linkage."""
+        """True if a joint follows no other joint and can make a full turn, like the pin of a
+        linkage."""
         span = float(np.ptp(self.limits[joint]))
         return span >= _FULL_TURN and joint not in self.leaders
 
     @cached_property
     def leaders(self) -> Mapping[int, tuple[int, Polynomial]]:
-        """Follower -> (leader that follows no other joint, position as a polynomial of its)."""
+        """Maps each follower to its leader, which follows no other joint, and to the polynomial
+        that gives the follower's position."""
         index = {name: j for j, name in enumerate(self.joint_names)}
         direct: dict[int, tuple[int, Polynomial]] = {}
         for c in self.couplings:
@@ -224,25 +226,28 @@ class Skeleton:
         return self.coupled(np.clip(np.zeros(len(low)), low, high))
 
     def coupled(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The pose with each follower at the position that its leader gives, within its limits."""
+        """Returns the pose with each follower at the position that its leader determines, within
+        its limits."""
         out = np.array(q, float)
         for joint, (leader, curve) in self.leaders.items():
             out[joint] = np.clip(curve(q[leader]), *self.limits[joint])
         return out
 
     def posed(self, named: Mapping[str, float]) -> Float[np.ndarray, " n"]:
-        """The reference pose with some joints, and their followers, at other positions."""
+        """Returns the reference pose with some joints, and the joints that follow them, at other
+        positions."""
         q = self.reference.copy()
         q[[self.joint_names.index(name) for name in named]] = list(named.values())
         return self.coupled(q)
 
     def free(self, joints: tuple[int, ...]) -> tuple[int, ...]:
-        """The joints that determine the given ones: each follower is replaced by its leader."""
+        """Returns the joints that determine the given ones: each follower is replaced by its
+        leader."""
         leaders = [self.leaders[j][0] if j in self.leaders else j for j in joints]
         return tuple(dict.fromkeys(leaders))
 
     def place(self, q: Float[np.ndarray, " n"]) -> Placement:
-        """Positions of all parts in a pose."""
+        """Computes the positions of all parts in a pose."""
         data = self.posed_data(q)
         return Placement(
             data.xpos.copy(),
@@ -254,7 +259,7 @@ class Skeleton:
 
     def posed_data(self, q: Float[np.ndarray, " n"]) -> mujoco.MjData:
         """MuJoCo's kinematics of a pose, valid until the next call. Free and ball joints stay at
-        their start."""
+        their initial positions."""
         data = self._data
         data.qpos[:] = self.model.qpos0
         single = np.flatnonzero(self.moves)
@@ -278,12 +283,12 @@ class Skeleton:
         return str(self.model.body(body).name)
 
     def point(self, body: int, place: np.ndarray) -> Point:
-        """A point in a body's frame [m] for a description, rounded to a micrometre."""
+        """A point in a body's frame [m] for the hand's description, rounded to a micrometre."""
         x, y, z = (round(float(c), 6) + 0.0 for c in place)
         return Point(self.body_name(body), (x, y, z))
 
     def path(self, body: int) -> tuple[int, ...]:
-        """Bodies from below the world down to this one."""
+        """Bodies on the path from the world, which is left out, down to this body."""
         out = []
         while body > 0:
             out.append(body)
@@ -296,7 +301,7 @@ class Skeleton:
         return tuple(range(first, first + int(self.model.body_jntnum[body])))
 
     def rigid(self, body: int) -> tuple[int, ...]:
-        """Bodies that are fixed to this one, itself included."""
+        """Bodies that are fixed to this one, including itself."""
         weld = self.model.body_weldid
         return tuple(int(b) for b in np.flatnonzero(weld == weld[body]))
 
@@ -550,7 +555,7 @@ def _origin(element: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray
 
 
 def shape_points(kind: mujoco.mjtGeom, sizes: np.ndarray) -> Float[np.ndarray, "p 3"]:
-    """Points on the whole surface of a shape that is no mesh, in its own frame [m]."""
+    """Points all over the surface of a shape that is not a mesh, in the shape's own frame [m]."""
     size = np.asarray(sizes, np.float64)
     points: np.ndarray
     ball = _sphere()

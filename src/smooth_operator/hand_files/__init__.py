@@ -1,2 +1,2 @@
-"""Files of robot hands: the user's folder, copies of models, spec files, and the vendors' models
-with meshes."""
+"""Files of robot hands: the user's folder, copies of models, spec files, and vendors' models with
+meshes."""

@@ -1,4 +1,4 @@
-"""Hands whose models stay in the repositories of their authors.
+"""Hands whose models are not included here, but are in the repositories of their makers.
 
 This project does not carry these models. ``MAKERS_HANDS`` names repository, commit, file and digest
 of each; the user clones the repository. Nothing here uses the network.
@@ -19,7 +19,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class MakersHand:
-    """One side of a hand whose model stays in its author's repository.
+    """One side of a hand whose model is in its maker's repository.
 
     Attributes:
         name: name of the hand.
@@ -43,7 +43,7 @@ class MakersHand:
 
     @property
     def steps(self) -> str:
-        """Commands that add the hand, one in each line."""
+        """Commands that add the hand, one per line."""
         folder = self.repository.rpartition("/")[2]
         side = "" if self.side == "right" else f" --side {self.side}"
         return (
@@ -52,7 +52,7 @@ class MakersHand:
         )
 
     def find(self, clone: Path | None) -> Path:
-        """Model file in a clone of the repository.
+        """Finds the model file in a clone of the repository.
 
         Raises:
             ConfigError: there is no clone, or it has no such file; with the commands to type.
@@ -71,13 +71,14 @@ class MakersHand:
         return file
 
     def was_checked(self, file: Path) -> bool:
-        """True if a file has the content of the model that was checked."""
+        """True if a file has the same content as the model that was checked."""
         text = file.read_bytes().replace(b"\r\n", b"\n")
         return hashlib.sha256(text).hexdigest() == self.sha256
 
 
 def makers_hand(name: str, side: Side) -> MakersHand:
-    """A side of a hand of ``MAKERS_HANDS``; ConfigError if its author has no model of that side."""
+    """Returns one side of a hand in ``MAKERS_HANDS``; ConfigError if its maker has no model of that
+    side."""
     entry = MAKERS_HANDS[name]
     if side not in entry:
         raise ConfigError(f"the author of {name} publishes no model of the {side} hand")

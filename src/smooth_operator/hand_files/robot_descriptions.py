@@ -1,4 +1,4 @@
-"""Models of the package ``robot_descriptions``, which downloads them from their makers.
+"""Finds models of the package ``robot_descriptions``, which downloads them from their makers.
 
 The package is optional (https://github.com/robot-descriptions/robot_descriptions.py). It clones a
 repository on the first request, into its own cache; its environment variable
@@ -22,7 +22,7 @@ _SUFFIX: Final = "_description"
 
 
 def description_file(name: str) -> Path:
-    """Model file of a description of the package, downloaded if necessary.
+    """Model file that ``robot_descriptions`` has under a name, downloaded if necessary.
 
     Args:
         name: name of the description, such as ``panda_mj``, with or without ``_description``.

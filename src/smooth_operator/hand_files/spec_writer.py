@@ -15,7 +15,7 @@ from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
 
 
 def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> None:
-    """Write a spec file for ``read_hand_spec``.
+    """Writes a spec file that ``read_hand_spec`` can read.
 
     Args:
         spec: the hand. The path of a model in the file's folder or below is written as a relative
@@ -40,7 +40,8 @@ def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> N
 
 @contextmanager
 def temporary_spec(hand: str | HandSpec) -> Iterator[str]:
-    """Yields the name of a hand, or the path of a temporary spec file, to pass to another process.
+    """Yields the name of a hand, or the path of a temporary spec file, that another process can
+    load.
 
     Yields:
         an argument for ``load_hand``; the file is deleted at the end.

@@ -21,7 +21,7 @@ from smooth_operator.types import Side
 
 
 def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
-    """Write a description into the user's folder, where ``load_hand`` finds it by name.
+    """Writes a description into the user's folder, where ``load_hand`` finds it by name.
 
     Args:
         spec: the hand; a description of the same name and side is replaced.
@@ -54,7 +54,7 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
 
 
 def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """Remove a hand from the user's folder.
+    """Removes a hand from the user's folder.
 
     Args:
         side: its side; by default both.
@@ -114,7 +114,8 @@ part of the model's package."""
 
 
 def model_files(path: Path) -> tuple[Path, ...]:
-    """The model file, the files that it includes, and its existing meshes and textures.
+    """Returns the model file, the files that it includes, and those of its meshes and textures that
+    exist.
 
     Args:
         path: MJCF or URDF file.
@@ -127,7 +128,7 @@ def model_files(path: Path) -> tuple[Path, ...]:
 
 
 def copy_model(path: Path, folder: Path) -> Path | None:
-    """Copy a model with all its files, so that it no longer depends on the original.
+    """Copies a model with all its files, so that it no longer depends on the original.
 
     The files keep their relative paths. The folder is replaced as a whole, and only if the copy can
     be loaded.
@@ -190,5 +191,5 @@ def spec_name(name: str, side: Side) -> str:
 
 
 def model_folder(name: str, side: Side) -> Path:
-    """Folder of the copy of a hand's model that ``hands add`` makes."""
+    """Folder to which ``hands add`` copies a hand's model."""
     return user_hands_folder() / "models" / f"{name}.{side}"

@@ -1,4 +1,4 @@
-"""Transfers a hand's description to another model of the hand, such as the vendor's model with
+"""Applies a hand's description to another model of the hand, such as the vendor's model with
 meshes.
 
 The built-in compact models keep the vendor's joints and the frames of the links that these move. A
@@ -221,7 +221,7 @@ def has_meshes(hand: Hand) -> bool:
 
 
 def menagerie_copy(hand: Hand) -> Path | None:
-    """Menagerie's local copy of a hand's model; None if there is no copy."""
+    """Local copy of MuJoCo Menagerie's model of a hand; None if there is no copy."""
     entry = _ENTRIES.get((hand.name, hand.spec.side))
     if entry is None or find_spec("mujoco_menagerie") is None:
         return None
@@ -235,7 +235,7 @@ def menagerie_copy(hand: Hand) -> Path | None:
 
 
 def menagerie_file(hand: Hand) -> Path:
-    """Menagerie's model of a hand, downloaded if necessary.
+    """MuJoCo Menagerie's model of a hand, downloaded if necessary.
 
     Raises:
         HandModelError: the package has no model of this hand and side, or can't download it.

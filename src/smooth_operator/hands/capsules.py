@@ -91,7 +91,7 @@ class CapsulePairs:
 
 
 def hand_capsules(hand: Hand) -> list[Capsule]:
-    """The capsules of all parts of a hand; see the top of this module."""
+    """Fills all parts of a hand with capsules; see the top of this module."""
     own = stand_ins(hand)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
     shapes = solid_shapes(hand) & ~np.isin(part, list(own.replaced))
@@ -105,7 +105,7 @@ def hand_capsules(hand: Hand) -> list[Capsule]:
 
 @lru_cache(maxsize=8)
 def parts_apart(hand: Hand) -> CapsulePairs:
-    """All pairs of a hand's capsules whose overlap is a self-collision: those of
+    """All pairs of a hand's capsules whose overlap counts as a self-collision: those of
     ``candidate_pairs`` whose shapes do not overlap in the neutral pose."""
     capsules = hand_capsules(hand)
     pairs = candidate_pairs(hand, capsules)
@@ -119,8 +119,8 @@ def parts_apart(hand: Hand) -> CapsulePairs:
 
 
 def candidate_pairs(hand: Hand, capsules: list[Capsule]) -> Int[np.ndarray, "P 2"]:
-    """(P, 2) indices of the capsules on different parts of the hand that are not joined, without
-    the pairs that the model excludes from collision.
+    """(P, 2) indices of pairs of capsules on parts of the hand that are not joined to each other,
+    without the pairs that the model excludes from collision.
 
     A gripper has no pairs: its jaws are made to close on each other, and parts of its linkage
     overlap by design.
@@ -151,7 +151,7 @@ def candidate_pairs(hand: Hand, capsules: list[Capsule]) -> Int[np.ndarray, "P 2
 
 
 def capsule_pairs(hand: Hand) -> CapsulePairs:
-    """The pairs of ``parts_apart`` that random poses bring together.
+    """Those pairs of ``parts_apart`` that come together in random poses.
 
     If there are more than ``MOST``, the pairs that are most often the nearest of their two links
     are kept, and at least one pair for any two links that meet.
@@ -163,7 +163,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
 def chosen_pairs(
     hand: Hand, capsules: list[Capsule], pairs: Int[np.ndarray, "P 2"]
 ) -> CapsulePairs:
-    """A selection of the pairs, with only the capsules that they contain."""
+    """Selects some of the pairs, and only the capsules that they contain."""
     used, pairs = np.unique(pairs, return_inverse=True)
     pairs = pairs.reshape(-1, 2)
     chosen = tuple(capsules[c] for c in used)
@@ -178,9 +178,9 @@ def chosen_pairs(
 def segments_apart(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
 ) -> tuple[AnyKind, AnyKind, AnyKind]:
-    """(..., 3) vector between the nearest points of two line segments of (..., 3) ends, from the
-    second to the first, and the (...) fractions of their lengths, 0 to 1, where these points lie;
-    NumPy or JAX. Parallel segments have many nearest points; these are two.
+    """Nearest points of two line segments of (..., 3) ends: the (..., 3) vector between them, from
+    the second to the first, and the (...) fractions of the segments' lengths, 0 to 1, at which they
+    lie. NumPy or JAX. Parallel segments have many nearest points; one pair is returned.
 
     Source: Ericson, "Real-Time Collision Detection" (2005), 5.1.9, without branches.
     """

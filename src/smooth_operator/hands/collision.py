@@ -24,8 +24,8 @@ _TINY: Final = 1e-9  # [m]
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
-    """(g,) mask of the hand's shapes that collide, by their masks or as a declared pair. If none
-    does, the shapes of the groups 3 and 4 count, which models use for collision."""
+    """(g,) mask of the hand's shapes that collide, judging by their masks or declared pairs. If no
+    shape collides, those in groups 3 and 4 count, which models use for collision."""
     model = hand.model
     own = hand.bodies[model.geom_bodyid]
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -46,8 +46,9 @@ def lacking_parts(hand: Hand) -> set[int]:
 
 
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
-    """Index of each body's finger in ``FINGERS``, or ``PALM``. A finger consists of the bodies
-    from palm to fingertip that it shares with no other finger, and of all that hang from them."""
+    """Index in ``FINGERS`` of the finger to which each body belongs, or ``PALM``. A finger consists
+    of the bodies from palm to fingertip that it shares with no other finger, and of everything
+    attached to them."""
     model = hand.model
     palm = model.body(hand.spec.palm).id
     chains = []
@@ -90,7 +91,7 @@ class Capsule:
 
 
 def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
-    """Capsules that fill a shape from within: one for a capsule, a sphere, a slender cylinder or a
+    """Fills a shape from within with capsules: one for a capsule, a sphere, a slender cylinder or a
     rod-shaped mesh; a ring around a core for a wide cylinder; a row for a box or a flat mesh."""
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
     matrix = np.empty(9)
@@ -135,7 +136,8 @@ def _cylinder_rods(radius: float, half: float) -> list[tuple[np.ndarray, float, 
 
 
 def strip_shifts(thick: float, wide: float) -> Float[np.ndarray, " n"]:
-    """Middles of parallel rods across a flat part, from half its thickness and width [m]."""
+    """Positions of the centre lines of parallel rods across a flat part, from half its thickness
+    and half its width [m]."""
     spread = wide - thick
     if spread <= 0.1 * thick:
         return np.zeros(1)

@@ -1,4 +1,4 @@
-"""Keypoints of a single pose with their first and second derivatives.
+"""Computes the keypoints of a single pose, with first and second derivatives.
 
 This module sweeps the tree level by level, which gives a small program, and takes the derivatives
 from the geometry of hinges. With axis a_j and arm r_fj from joint j to point f:
@@ -25,7 +25,7 @@ from smooth_operator.hands.kinematics import KinematicTree
 
 
 class PointMotion(NamedTuple):
-    """Points and the velocities that unit joint velocities give them.
+    """Keypoints in one pose, and the velocities that unit joint velocities give them.
 
     Attributes:
         points: (F, 3) positions in the palm frame [m].
@@ -39,7 +39,8 @@ class PointMotion(NamedTuple):
     origin_speeds: Float[Array, "J 3"]
 
     def along(self, points: Float[Array, "R 3"], directions: Float[Array, "R 3"]) -> Array:
-        """(R, J) velocity of a point along a direction, for each joint that moves it [m/rad]."""
+        """(R, J) velocity of each point along a direction, per unit velocity of each joint that
+        moves it [m/rad]."""
         wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
         screws = jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1)
         # a sum: a matrix product would cost a call of XLA's library
@@ -50,7 +51,7 @@ class PointMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointKinematics:
-    """Kinematics of some keypoints with derivatives; joints are ordered by the tree's levels.
+    """Kinematics of some keypoints with derivatives. Joints are ordered by their depth in the tree.
 
     Attributes:
         tree: the kinematics.
@@ -62,7 +63,7 @@ class PointKinematics:
 
     @cached_property
     def levels(self) -> tuple[tuple[int, ...], ...]:
-        """Indices into ``tree.joints``, grouped by depth."""
+        """Indices into ``tree.joints``, grouped by depth in the tree."""
         levels: list[tuple[int, ...]] = []
         above: tuple[int, ...] = (-1,)
         while above := tuple(i for i, j in enumerate(self.tree.joints) if j.parent in above):
@@ -131,7 +132,8 @@ class PointKinematics:
         return PointMotion(points, jnp.where(slide, 0.0, axes), speeds)
 
     def jacobian(self, motion: PointMotion, of: slice | np.ndarray = slice(None)) -> Array:
-        """(F, J, 3) dp_f/dq_j [m/rad] of some points or all, zero where joint j does not move f."""
+        """(F, J, 3) derivatives dp_f/dq_j [m/rad] of some points or of all points, zero where joint
+        j does not move point f."""
         axes, points = motion.hinge_axes, motion.points[of]
         result = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
@@ -155,22 +157,23 @@ class PointKinematics:
 
 
 def moments(points: Float[Array, "F 3"], gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
-    """Moments p g^T and g of each point p, as input of ``PointKinematics.derivatives``. The
-    gradient g with respect to the points counts as constant."""
+    """Computes the moments p g^T and g of each point p, as input for
+    ``PointKinematics.derivatives``. The gradient g with respect to the points is treated as
+    constant."""
     products = (points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
     return jnp.concatenate([products, gradient], axis=1)
 
 
 def linear_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
-    """A q + b of the hand's ``Transmission`` at one pose, as sums; traceable. ``curved`` makes
-    positions of all joints of them."""
+    """Computes A q + b of the hand's ``Transmission`` at one pose, as sums; traceable. ``curved``
+    converts the result to the positions of all joints."""
     transmission = hand.transmission
     return contracted(q, transmission.matrix.T) + transmission.offset.astype(q.dtype)
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
-    """``values @ matrix`` for a constant (J, m) matrix with few entries in a column, as sums,
-    without a call of XLA's library."""
+    """Computes ``values @ matrix`` for a constant (J, m) matrix with few nonzero entries per
+    column, as sums, without a call of XLA's library."""
     most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
     rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # nonzero entries first
     gains = np.take_along_axis(matrix, rows, axis=0)

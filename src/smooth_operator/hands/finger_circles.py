@@ -1,4 +1,5 @@
-"""Finds the joints that bend or spread a finger, from circles of its tip about the joints."""
+"""Finds the joints that bend or spread a finger, from the circle on which each joint moves the
+fingertip."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ _POSES: Final = 101
 
 
 class Bend(NamedTuple):
-    """A joint beyond the knuckle of a long finger that bends it past straight.
+    """A joint beyond the knuckle of a long finger that can bend the finger backwards past straight.
 
     Attributes:
         finger: the finger's row among the hand's.
@@ -39,7 +40,8 @@ class Bend(NamedTuple):
 
 @lru_cache(maxsize=8)
 def bends_past_straight(hand: Hand) -> list[Bend]:
-    """Joints that bend a finger past straight, which shortens it by more than a millimetre."""
+    """Finds joints that bend a finger backwards past straight, which shortens it by more than a
+    millimetre."""
     bends = []
     for f, (name, circles) in enumerate(zip(hand.fingers, _circles(hand), strict=True)):
         parallel = [one for one in circles if abs(one.axis @ circles[-1].axis) > _PARALLEL]
@@ -56,8 +58,8 @@ def bends_past_straight(hand: Hand) -> list[Bend]:
 
 
 def spread_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
-    """(m,) mask of the actuated joints that turn a long finger sideways: their axis is across that
-    of the joint that folds the finger most."""
+    """(m,) mask of the actuated joints that move a long finger sideways: their axis is
+    perpendicular to that of the joint that folds the finger most."""
     spread, (thumb, *fingers) = np.zeros(len(hand.limits), bool), _circles(hand)
     for circles in filter(None, fingers):
         fold = max(circles, key=lambda one: np.ptp(np.linalg.norm(one.tips, axis=-1)))

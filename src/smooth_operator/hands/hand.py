@@ -81,7 +81,7 @@ class Hand:
 
     @property
     def name(self) -> str:
-        """Catalogue name."""
+        """Name of the hand, as in ``hands list``."""
         return self.spec.name
 
     @property
@@ -105,8 +105,8 @@ class Hand:
         return own_bodies(self.model, self.model.body(self.spec.palm).id)
 
     def qpos(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch nq"]:
-        """Positions of the whole model, from (..., n) positions of all joints of the hand [rad];
-        joints outside the hand stay at their reference."""
+        """Converts (..., n) positions of all joints of the hand [rad] to positions of the whole
+        model. Joints that are not part of the hand stay at their reference positions."""
         q_all = np.asarray(q_all, float)
         qpos = np.tile(np.asarray(self.model.qpos0, float), (*q_all.shape[:-1], 1))
         qpos[..., self._addresses] = q_all
@@ -132,8 +132,8 @@ class Hand:
     @cached_property
     def straight_pose(self) -> StraightPose:
         """The pose nearest to neutral in which all fingers reach furthest from their bases, found
-        by coordinate searches. Joints that do not extend the reach or move a knuckle
-        (``knuckle_joints``) stay at neutral."""
+        by coordinate searches. Joints that do not extend the reach, or that move a knuckle
+        (``knuckle_joints``), stay at neutral."""
         q = self.neutral.copy()
         extending = np.flatnonzero(~knuckle_joints(self))
         for _ in range(_ROUNDS):
@@ -150,29 +150,32 @@ class Hand:
 
     @cached_property
     def align_indices(self) -> tuple[int, ...]:
-        """Human landmarks that the alignment uses."""
+        """Indices of the human landmarks that the alignment uses."""
         return tuple(
             WRIST if name == "wrist" else BASES[FINGERS.index(name)] for name in self.spec.align
         )
 
     @cached_property
     def align_points(self) -> Float[np.ndarray, "a 3"]:
-        """The robot's counterparts of ``align_indices``, palm frame, neutral pose [m]."""
+        """The robot's counterparts of ``align_indices``, in the palm frame and the neutral pose
+        [m]."""
         at = dict(zip(self.tree.names, self.landmark_positions(self.neutral), strict=True))
         return np.stack([at[LANDMARKS[i]] for i in self.align_indices])
 
     @cached_property
     def joint_limits(self) -> Float[np.ndarray, "n 2"]:
-        """(n, 2) limits of all joints [rad], coupled ones included; infinite without a limit."""
+        """(n, 2) limits of all joints [rad], including coupled ones; infinite for a joint without
+        limits."""
         return self.tree.limits
 
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
-        """(..., n) positions of all joints [rad] in the order of ``joint_names``, from those of the
-        actuated joints, (..., m) [rad]."""
+        """Converts (..., m) positions of the actuated joints [rad] to (..., n) positions of all
+        joints [rad], in the order of ``joint_names``."""
         return self.transmission.positions(q)
 
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
-        """``full_configuration`` of m arrays of one shape (batch last), in a compiled program."""
+        """Computes ``full_configuration`` from m arrays of the same shape (batch axis last), inside
+        a compiled program."""
         return self.transmission.rows(q)
 
     def landmark_positions(self, q: ArrayLike) -> Float[np.ndarray, "*batch k 3"]:
@@ -244,7 +247,8 @@ def load_hand_spec(spec: HandSpec) -> Hand:
 
 
 def fingerprint(hand: Hand) -> str:
-    """Digest of the numbers of a hand that a compiled program depends on, without its name."""
+    """Digest of the numbers of a hand on which a compiled program depends; the hand's name does not
+    count."""
     tree = hand.tree
     digest = hashlib.sha256()
     parts: list[object] = [
@@ -280,15 +284,15 @@ def fingerprint(hand: Hand) -> str:
 
 
 def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> KinematicTree:
-    """Kinematics of a hand's landmarks and of further points: name -> (body of the model, (3,)
-    position in it [m])."""
+    """Kinematics of a hand's landmarks and of additional points, which are given as name -> (body
+    of the model, (3,) position in it [m])."""
     palm = _body(hand.model, hand.spec.palm)
     every = {**points, **landmark_points(hand.model, hand.spec)}
     return build_tree(hand.model, palm, every, own_joints(hand.model, palm))
 
 
 def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[int, np.ndarray]]:
-    """Landmarks of a hand's description: name -> (body, (3,) position in its frame [m]);
+    """Landmarks of a hand's description, as name -> (body, (3,) position in its frame [m]). Raises
     UnknownNameError if the model lacks the body of a landmark."""
     points = {LANDMARKS[WRIST]: spec.wrist}
     for finger in spec.fingers:
@@ -347,7 +351,7 @@ def _at(model: mujoco.MjModel, point: Point) -> tuple[int, np.ndarray]:
 
 
 def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
-    """Hinges and slides below the palm, in the model's own order, without a wrist's joints."""
+    """Hinges and slides below the palm, in the model's own order; wrist joints are left out."""
     own = _below(model, palm)
     own[palm] = False
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -357,7 +361,8 @@ def own_joints(model: mujoco.MjModel, palm: int) -> tuple[int, ...]:
 
 def own_bodies(model: mujoco.MjModel, palm: int) -> Bool[np.ndarray, " nbody"]:
     """(nbody,) mask of the hand's bodies: the palm, all bodies below it, and those to which the
-    palm is fixed, without bodies that carry other joints, such as a second hand's."""
+    palm is fixed. Bodies that carry other joints, such as those of a second hand, are not included.
+    """
     below = _below(model, palm)
     rigid = np.asarray(model.body_weldid == model.body_weldid[palm])
     carries = np.zeros(model.nbody, bool)  # a joint, on it or further out
@@ -388,7 +393,7 @@ _GAIN: Final = 1e-6  # smallest gain in reach that moves a joint off neutral [m]
 
 
 class StraightPose(NamedTuple):
-    """A hand with its fingers straight.
+    """Pose of a hand with its fingers straight.
 
     Attributes:
         q: (m,) the pose [rad].
@@ -423,7 +428,7 @@ def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
 
 
 def finger_rays(hand: Hand, q: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n F 3"]:
-    """(..., F, 3) vectors from base to tip of each finger at (..., m) joint positions [m]."""
+    """(..., F, 3) vectors [m] from base to tip of each finger, at (..., m) joint positions."""
     names, points = hand.tree.names, hand.landmark_positions(q)
     fingers = [FINGERS.index(name) for name in hand.fingers]
     tips = [names.index(LANDMARKS[TIPS[i]]) for i in fingers]

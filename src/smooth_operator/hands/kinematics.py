@@ -1,4 +1,5 @@
-"""Batched keypoint positions of a tree of joints, unrolled at trace time.
+"""Computes keypoint positions of a tree of joints for many poses at once; the tree is unrolled at
+trace time.
 
 For every keypoint the chain of joints above it is written out as straight-line arithmetic over
 arrays whose *last* axis is the batch, so that a compiler can fuse the forward kinematics of
@@ -153,7 +154,7 @@ def build_tree(
     keypoints: Mapping[str, tuple[int, np.ndarray]],
     own: Sequence[int] | None = None,
 ) -> KinematicTree:
-    """Unroll a MuJoCo model into a ``KinematicTree``.
+    """Converts a MuJoCo model to a ``KinematicTree``.
 
     Args:
         palm: body in whose frame positions are computed; joints at or above it are held at zero.

@@ -1,4 +1,4 @@
-"""Loader of MJCF and URDF files: a compiled MuJoCo model with the couplings that it declares.
+"""Loads MJCF and URDF files as a compiled MuJoCo model with the couplings that the file declares.
 
 MuJoCo's compiler reads both formats. This module adds URDF ``mimic``, names of files that MuJoCo
 does not resolve, models whose meshes are missing or far too large, corrected inertias, and
@@ -64,7 +64,7 @@ class LoadedModel:
 
 
 def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
-    """Compile a model file.
+    """Compiles a model file.
 
     Args:
         path: MJCF (.xml) or URDF file.
@@ -118,8 +118,9 @@ def _check_finite(model: mujoco.MjModel, path: Path) -> None:
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Joints with an actuator of their own, the first joints of driven fixed tendons, and leaders
-    that a driven joint follows by a polynomial of a higher degree than 1."""
+    """Joints that a motor drives: those with an actuator of their own, the first joint of each
+    driven fixed tendon, and leaders that a driven joint follows by a polynomial of degree 2 or
+    more."""
     driven = _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
     curved = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_data[:, 2:5].any(axis=1)
     return driven | {
@@ -189,7 +190,8 @@ def _name_all(spec: mujoco.MjSpec) -> None:
 
 
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
-    """The model that ``load_model`` compiles, in editable form; HandModelError if that fails."""
+    """Returns the model that ``load_model`` compiles, in editable form. Raises HandModelError if
+    that fails."""
     path, files = _model_files(path)
     read = partial(_read, path, files, mirror)
     spec = read()
@@ -242,7 +244,8 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
 def merged_couplings(
     declared: tuple[Coupling, ...], given: tuple[Coupling, ...]
 ) -> tuple[Coupling, ...]:
-    """Couplings of a model file, except where those of a description replace them."""
+    """Couplings of a model file, replaced by those of a description where the description gives
+    them."""
     joints = {coupling.joint for coupling in given}
     return (*(coupling for coupling in declared if coupling.joint not in joints), *given)
 
@@ -271,9 +274,9 @@ def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
 def shared_range(
     curve: Callable[[float], float], own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
 ) -> float:
-    """Overlap of a coupled joint's own range [rad] with the range of ``curve`` over that of its
-    leader, divided by the smaller range: at most 1; negative if the ranges do not meet, 1 if one
-    is a point inside the other."""
+    """How much of a coupled joint's own range [rad] overlaps with the range of ``curve`` over the
+    range of its leader, as a fraction of the smaller range: at most 1; negative if the ranges do
+    not meet; 1 if one range is a point inside the other."""
     reached = [curve(float(q)) for q in np.linspace(leader[0], leader[1], _SAMPLES)]
     led = np.array([min(reached), max(reached)])
     overlap = min(own[1], led[1]) - max(own[0], led[0])
@@ -361,7 +364,7 @@ def _actuated(model: mujoco.MjModel) -> set[int]:
 
 
 def mirror_spec(spec: mujoco.MjSpec) -> None:
-    """Reflect a model across the x = 0 plane of every local frame, in place; HandModelError if it
+    """Reflects a model across the x = 0 plane of every local frame, in place; HandModelError if it
     has meshes.
 
     A hinge axis is a pseudo-vector: (x, y, z) becomes (x, -y, -z), so that the same joint angle

@@ -1,4 +1,4 @@
-"""Reader of robot model files (MJCF, URDF) and of the names of their meshes and textures.
+"""Reads robot model files (MJCF, URDF) and the names of their meshes and textures.
 
 ROS packages name meshes ``package://NAME/meshes/link.stl``; exporters write paths of the machine
 they ran on. This module resolves the names.
@@ -49,7 +49,7 @@ DOCUMENTS: Final = ("include", "model")
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Files of a model.
+    """The files that make up a model.
 
     Attributes:
         root: root element of the model file.
@@ -71,8 +71,9 @@ class ModelFiles:
 
 
 def model_path(path: Path) -> Path:
-    """The absolute path of a model file, without ``..``; HandModelError if it is not UTF-8. Links
-    to its folder are followed. A link to the file is not: its meshes lie beside the link."""
+    """Returns the absolute path of a model file, without ``..``; HandModelError if it is not UTF-8.
+    Links to its folder are followed. A link to the file itself is not followed, because the meshes
+    lie beside the link."""
     whole = Path(os.path.realpath(path.parent), path.name)
     try:
         str(whole).encode("utf-8")
@@ -84,9 +85,9 @@ def model_path(path: Path) -> Path:
 
 
 def read_model_files(path: Path) -> ModelFiles:
-    """Read a model file, MJCF or URDF, and find the files that it names; HandModelError if there is
-    no such file, its path is not UTF-8, or it names a pipe, a device or more than ``MOST_NAMES``
-    files."""
+    """Reads an MJCF or URDF file and finds the files that it names. Raises HandModelError if there
+    is no such file, if its path is not UTF-8, or if it names a pipe, a device or more than
+    ``MOST_NAMES`` files."""
     reader = _Reader(model_path(path))
     for document in reader.pending:  # grows during the loop
         reader.read(document)
@@ -242,7 +243,7 @@ def is_pointer(path: Path) -> bool:
 
 
 def document_places(name: str, model: Path, path: Path) -> tuple[Path, Path]:
-    """Where a file may be that a document of a model includes or attaches."""
+    """Places to look for a file that a document of a model includes or attaches."""
     one, other = (Path(os.path.normpath(file.parent / name)) for file in (model, path))
     return one, other
 
@@ -259,7 +260,8 @@ _MARKS: Final = {
 
 
 def read_model_xml(path: Path) -> ElementTree.Element:
-    """The root element of a model file; HandModelError if it can't be read, or is no model."""
+    """Returns the root element of a model file. Raises HandModelError if the file can't be read or
+    is not a model."""
     if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
         raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
     try:
@@ -290,8 +292,8 @@ def read_model_xml(path: Path) -> ElementTree.Element:
 
 
 def decode_xml(data: bytes, path: Path) -> str:
-    """The text of an XML file without its declaration, by the encoding that it declares;
-    HandModelError if that is unknown, or does not fit the bytes."""
+    """Returns the text of an XML file without its declaration, decoded with the encoding that it
+    declares. Raises HandModelError if that encoding is unknown or does not fit the bytes."""
     declared = _DECLARED.match(data)
     encoding = declared.group(1).decode("ascii") if declared else "utf-8"
     encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), encoding)

@@ -19,7 +19,7 @@ _TINY: Final = 1e-9
 
 
 class CompiledModel(NamedTuple):
-    """A compiled model, and what had to be left out of it.
+    """A compiled model, and the parts of it that had to be left out.
 
     Attributes:
         model: the model.
@@ -122,8 +122,8 @@ def _unreadable_meshes(spec: mujoco.MjSpec, absent: Container[str]) -> frozenset
 
 
 def drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
-    """Removes some meshes, and every terrain, skin and texture, from a model, and returns the names
-    of the bodies that lost a colliding shape."""
+    """Removes some meshes, and every terrain, skin and texture, from a model. Returns the names of
+    the bodies that lost a colliding shape."""
     lost = []
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     gone_geoms = set()

@@ -1,4 +1,4 @@
-"""Errors and warnings of MuJoCo."""
+"""Converts errors and warnings of MuJoCo to messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError
 
 
 def refused(what: str, path: Path, error: Exception) -> HandModelError:
-    """The error for a model that MuJoCo can't read or compile, with MuJoCo's reason."""
+    """Returns the error for a model that MuJoCo can't read or compile, with MuJoCo's reason."""
     reason = re.sub(r"\b(XML )?Error: *", "", " ".join(str(error).split()))
     return HandModelError(
         f"MuJoCo can't {what} {path}: {reason}; correct this in the file, or export the model again"

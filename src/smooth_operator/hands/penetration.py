@@ -18,7 +18,7 @@ from smooth_operator.hands.hand import Hand
 
 
 def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarray, " T"] | None:
-    """Deepest self-penetration in each frame.
+    """Depth of the deepest self-penetration in each frame.
 
     The parts and pairs are those that ``smooth`` keeps apart (``parts_apart``): two fingers, tips
     included, so that a pinch that goes too deep counts, and a finger and the palm.
@@ -76,7 +76,7 @@ def crowded_links(
 
 
 def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
-    """Overlaps in the neutral pose of bodies of different parts of the hand.
+    """Overlaps, in the neutral pose, between bodies of different parts of the hand.
 
     The first two links of a finger do not count against the palm: around a knuckle of two joints,
     shapes overlap by design.
@@ -99,8 +99,8 @@ def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
 
 
 def parts_above(model: mujoco.MjModel, part: int) -> list[int]:
-    """Parts that a part hangs from, nearest first. A part is the first of bodies without a joint
-    between them (``body_weldid``)."""
+    """Parts between a part and the base of the model, nearest first. A part is the first of several
+    bodies that no joint separates (``body_weldid``)."""
     above: list[int] = []
     while part:
         part = int(model.body_weldid[model.body_parentid[part]])

@@ -1,4 +1,4 @@
-"""Table of random poses of a hand, from which a descent starts if it has no good start.
+"""Table of random poses of a hand, from which an optimisation starts if it has no good start.
 
 For each finger, the table gives the pose whose fingertip is nearest to a target. The result does
 not depend on earlier frames, and one of many random poses is in the right basin.
@@ -22,7 +22,7 @@ _POSES: Final = 1024
 
 @dataclass(frozen=True, eq=False)
 class PoseTable:
-    """Random poses of a hand, the same in each run.
+    """Random poses of a hand, which are the same in every run.
 
     Attributes:
         hand: the robot hand.
@@ -47,7 +47,8 @@ class PoseTable:
         return poses.astype(np.float32), np.moveaxis(tips, 1, 0).astype(np.float32)
 
     def nearest(self, places: Float[Array, "F 3"]) -> tuple[Float[Array, " m"], Float[Array, " F"]]:
-        """(m,) pose of the fingers nearest to (F, 3) targets [rad], and (F,) their distances [m].
+        """Finds the (m,) joint positions [rad] at which each finger is nearest to its target in (F,
+        3), and the (F,) distances [m].
 
         Traceable. Each finger comes from the pose of the table whose fingertip is nearest to its
         target. A joint of two fingers comes from the first; a joint of no finger stays neutral.

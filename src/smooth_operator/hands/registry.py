@@ -1,4 +1,4 @@
-"""Registry of hands: built-in ones, those of plugins, and the user's own.
+"""Registry of hands: the built-in ones, those of plugins, and the user's own.
 
 A built-in hand is data: a spec file and a compact kinematic model in ``models``. If only one side
 is published, the other is its mirror image. A plugin gives the path of such a spec file, or of a
@@ -28,8 +28,8 @@ SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
 
 
 def user_hands_folder() -> Path:
-    """Folder of the user's spec files, which need not exist: ``SWITCH``, or ``hands`` in the
-    program's settings folder (``program_folder``)."""
+    """Folder of the user's spec files, which may not exist yet: the one named by ``SWITCH``, or
+    else ``hands`` in the program's settings folder (``program_folder``)."""
     path = os.environ.get(SWITCH, "").strip()
     if path:
         return Path(path).expanduser()
@@ -76,12 +76,12 @@ class HandEntry:
 
     @property
     def default_side(self) -> Side:
-        """Side that is loaded by default: right, or the only side with a spec file."""
+        """Side that is loaded by default: right, or the only side that has a spec file."""
         return "right" if "right" in self.files else "left"
 
     @property
     def mirrored(self) -> tuple[Side, ...]:
-        """Sides without a spec file."""
+        """Sides that have no spec file and are loaded as mirror images."""
         sides: tuple[Side, ...] = ("right", "left")
         return tuple(side for side in sides if side not in self.files)
 
@@ -105,8 +105,8 @@ class HandEntry:
 
 
 def known_hands() -> dict[str, HandEntry]:
-    """All hands by name: the built-in ones, those of plugins that can be loaded, the user's own
-    whose names are not taken."""
+    """All hands by name: the built-in ones, those of plugins that can be loaded, and those of the
+    user whose names are not taken."""
     entries = HANDS.loadable(_registered)
     for name, files in find_specs(user_hands_folder()).items():
         entries.setdefault(name, HandEntry(name, files, builtin=False))
@@ -114,12 +114,12 @@ def known_hands() -> dict[str, HandEntry]:
 
 
 def hand_names() -> tuple[str, ...]:
-    """Names of the hands: the built-in ones, those of plugins, then the user's own."""
+    """Names of the hands: first the built-in ones, then those of plugins and the user's own."""
     return tuple(dict.fromkeys([*HANDS, *find_specs(user_hands_folder())]))
 
 
 def find_hand(name: str) -> HandEntry:
-    """A hand of the registry, or that of ``package.module:attribute``.
+    """Returns the hand of the registry with a name, or the hand at ``package.module:attribute``.
 
     Raises:
         UnknownNameError: there is no hand of that name.
@@ -148,7 +148,7 @@ def load_hand(
     *,
     fingers: FingerChoice | None = None,
 ) -> Hand:
-    """Load a robot hand.
+    """Loads a robot hand.
 
     Args:
         hand: name of a hand that is built in, of a plugin or in the user's folder, or
@@ -180,8 +180,8 @@ def load_hand(
 
 
 def default_side(hand: str | Path | HandSpec) -> Side:
-    """Side of a hand that ``load_hand`` loads by default: for a name, ``right`` or the only side
-    with a spec file; otherwise the description's side. Errors as ``load_hand``."""
+    """Side that ``load_hand`` loads by default: for a name, ``right`` or the only side with a spec
+    file; for a description, its own side. Raises the same errors as ``load_hand``."""
     if isinstance(hand, HandSpec):
         return hand.side
     if isinstance(hand, Path) or hand.endswith(".toml"):
@@ -232,7 +232,7 @@ def origin(name: str) -> str:
 
 
 def shadowing(name: str, file: Path) -> HandModelError:
-    """Error for a user's file that has the name of another hand."""
+    """Error for a user's file whose hand has the same name as another hand."""
     return HandModelError(
         f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another hand of "
         "that name; choose a different name, in the file and for the file"

@@ -1,4 +1,5 @@
-"""Description of a robot hand (palm, fingers, landmarks, neutral pose), and choice of fingers."""
+"""Description of a robot hand (palm, fingers, landmarks, neutral pose), and selection of
+fingers."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ _MOST_TORQUE = 100.0  # [N m]; URDFs have 1000 for an unknown torque
 
 @dataclass(frozen=True)
 class Point:
-    """A point on a robot body.
+    """A point fixed to a body of the robot.
 
     Attributes:
         body: body name in the model.
@@ -34,7 +35,7 @@ class Point:
 
     @property
     def mirrored(self) -> Point:
-        """The same point of the mirrored model."""
+        """Returns the same point on the mirrored model."""
         x, y, z = self.offset
         return Point(self.body, (-x, y, z))
 
@@ -62,20 +63,20 @@ class FingerSpec:
 
     @property
     def base(self) -> Point:
-        """Counterpart of the finger's first landmark (thumb CMC or MCP)."""
+        """Point that corresponds to the finger's first landmark (thumb CMC or MCP)."""
         assert self.points[0] is not None  # checked on construction
         return self.points[0]
 
     @property
     def tip(self) -> Point:
-        """Counterpart of the fingertip landmark."""
+        """Point that corresponds to the fingertip landmark."""
         assert self.points[3] is not None  # checked on construction
         return self.points[3]
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that follows another by a polynomial, q[joint] = p(q[follows]) in radians.
+    """Makes a joint follow another joint by a polynomial: q[joint] = p(q[follows]), in radians.
 
     Attributes:
         joint: the joint that follows.
@@ -105,7 +106,8 @@ class Coupling:
 
     @classmethod
     def of(cls, joint: str, follows: str, coefficients: Sequence[float]) -> Coupling:
-        """The coupling with these coefficients, constant first; zeros at the end are dropped."""
+        """Makes the coupling with these coefficients, constant first; zeros at the end are
+        dropped."""
         offset, *powers = map(float, coefficients)
         while powers and not powers[-1]:
             powers.pop()
@@ -119,7 +121,7 @@ class Coupling:
 
     @property
     def formula(self) -> str:
-        """The polynomial in words: ``1.06 index_1 - 0.05``."""
+        """The polynomial as text, such as ``1.06 index_1 - 0.05``."""
         text = ""
         for power, c in reversed(tuple(enumerate(self.coefficients))):
             if not c:
@@ -137,7 +139,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class JointMap:
-    """Map from human joint angles to one joint: position = offset + sum of gain x angle.
+    """Map from human joint angles to one joint: position = offset + sum of gain * angle.
 
     Attributes:
         joint: name of an actuated joint.
@@ -159,7 +161,7 @@ class JointMap:
 
 @dataclass(frozen=True)
 class HandSpec:
-    """Description of a robot hand for retargeting: a model file, and the hand's parts in it.
+    """Description of a robot hand for retargeting: a model file, and the parts of the hand in it.
 
     Attributes:
         name: catalogue name.
@@ -200,8 +202,8 @@ class HandSpec:
 
     @property
     def mirrored(self) -> HandSpec:
-        """The mirror image of the hand: equal joint positions give mirrored poses. A gripper has
-        no side, so its model stays the same."""
+        """Returns the mirror image of the hand: equal joint positions give mirrored poses. A
+        gripper has no side, so its model stays the same."""
         side: Side = "left" if self.side == "right" else "right"
         return replace(self, side=side, mirror=self.mirror if self.gripper else not self.mirror)
 
@@ -254,7 +256,8 @@ FingerChoice: TypeAlias = Mapping[str, str] | Sequence[str]
 
 
 def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
-    """Returns a hand's description with some of its fingers; other joints stay at neutral.
+    """Returns a hand's description with only some of its fingers; the joints of the other fingers
+    stay at neutral.
 
     The alignment keeps its landmarks if all remain. Otherwise it uses the thumb and the first
     and last of the other fingers, or, with two fingers, these and the wrist.

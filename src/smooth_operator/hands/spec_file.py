@@ -1,4 +1,4 @@
-"""Spec files: descriptions of robot hands as small TOML files.
+"""Reads spec files, which are descriptions of robot hands as small TOML files.
 
 docs/how-to/hands.md has a complete example. Offsets are in the body's frame [m]. The points of a
 finger are the counterparts of its human landmarks; the first and the tip are needed. ``HandSpec``
@@ -36,7 +36,7 @@ _MOST_BYTES = 1_000_000  # a spec file has 2 kB
 
 
 def read_hand_spec(path: str | Path) -> HandSpec:
-    """Read a spec file.
+    """Reads a spec file.
 
     Args:
         path: the file; a relative ``model`` path in it starts at the file's folder.
@@ -52,8 +52,8 @@ def read_hand_spec(path: str | Path) -> HandSpec:
 
 
 def check_hand_name(name: str) -> str:
-    """Returns a hand's name if it is valid; HandModelError if it has other characters than letters,
-    digits, ``_`` and ``-``, or more than ``MOST_NAME``."""
+    """Returns a hand's name if it is valid. Raises HandModelError if it has characters other than
+    letters, digits, ``_`` and ``-``, or is longer than ``MOST_NAME``."""
     if len(name) > MOST_NAME:
         raise HandModelError(
             f"a hand can't be named {brief(name)}: the name has {len(name)} characters; "

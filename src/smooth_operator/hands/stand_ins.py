@@ -1,4 +1,4 @@
-"""Capsules along a hand's bones, for links whose collision shapes can't be read.
+"""Makes capsules along a hand's bones for links whose collision shapes can't be read.
 
 Their radius is estimated from the hand's lengths; a palm becomes parallel capsules from heel to
 knuckles. Self-collision needs them: the term of ``smooth`` and the measure.
@@ -40,7 +40,7 @@ _OVERLAP: Final = 1.5  # largest distance of a palm's parallel capsules over the
 
 @dataclass(frozen=True)
 class StandIns:
-    """Estimated shapes of a hand.
+    """Estimated collision shapes of a hand.
 
     Attributes:
         capsules: the estimated capsules; their ``geom`` is -1.
@@ -52,13 +52,13 @@ class StandIns:
 
 
 def stand_in_links(hand: Hand) -> tuple[str, ...]:
-    """Names of the links with a stand-in, in the model's order; empty for most hands."""
+    """Names of the links with estimated shapes, in the model's order; empty for most hands."""
     bodies = sorted({capsule.body for capsule in stand_ins(hand).capsules})
     return tuple(str(hand.model.body(body).name) for body in bodies)
 
 
 def stand_in_note(hand: Hand) -> str:
-    """Message about a hand's stand-ins; empty if it has none."""
+    """Message about a hand's estimated shapes; empty if it has none."""
     links = stand_in_links(hand)
     if not links:
         return ""
@@ -72,7 +72,8 @@ def stand_in_note(hand: Hand) -> str:
 
 
 def stand_ins(hand: Hand) -> StandIns:
-    """Capsules for the links of a hand that lost shapes and whose other shapes leave the bone bare.
+    """Makes capsules for the links of a hand that lost shapes and whose remaining shapes do not
+    cover the bone.
 
     If at least half of the fingers have such a link, stand-ins replace the shapes of all finger
     links, which is better than a mix (docs/how-to/hands.md). A hand without any colliding shape
@@ -154,9 +155,9 @@ def _uncovered(
 
 
 def finger_bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
-    """Maps each finger to its bones, base to tip, cut into one piece per body that carries a part,
-    in the world and the pose of ``data`` [m]. Bones run between landmarks, or between joint origins
-    in a finger without landmarks between base and tip."""
+    """Maps each finger to its bones, from base to tip, in the world frame and the pose of ``data``
+    [m]. Each bone is cut into one piece per body that carries a part of it. Bones run between
+    landmarks, or between joint origins in a finger that has no landmarks between base and tip."""
     placed = landmark_points(hand.model, hand.spec)
     out = {}
     for finger in hand.spec.fingers:

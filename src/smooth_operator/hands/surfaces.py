@@ -1,4 +1,4 @@
-"""Distance between the surfaces of a hand's thumb and fingers at their tips."""
+"""Measures the distance between the surfaces of a hand's thumb and fingers at their tips."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class _Pad(NamedTuple):
 def tip_surface_distances(
     hand: Hand, joint_positions: ArrayLike, wanted: Bool[np.ndarray, "T f"]
 ) -> Float[np.ndarray, "T f"]:
-    """Distance between the surface of the thumb's last link and those of the other fingers.
+    """Distances from the surface of the thumb's last link to those of the other fingers' last
+    links.
 
     MuJoCo measures it between the colliding shapes of the model (``mj_geomDistance``; a mesh is
     its convex hull), so it does not depend on a method's model of the hand. Where a last link

@@ -54,8 +54,8 @@ class Transmission:
         return self.curved(linear)
 
     def slopes(self, q: ArrayLike) -> Float[np.ndarray, "*batch n m"]:
-        """(..., n, m) derivatives of all joint positions with respect to the actuated ones; without
-        curves, the constant (n, m) matrix."""
+        """(..., n, m) derivatives of all joint positions with respect to the actuated joints. For a
+        hand without curves, returns the constant (n, m) matrix."""
         if not self.curves:
             return self.matrix
         linear = np.asarray(q, float) @ self.matrix.T + self.offset
@@ -63,7 +63,8 @@ class Transmission:
         return slopes
 
     def rows(self, q: Sequence[Array]) -> list[Array]:
-        """``positions`` for m arrays of a common shape (batch last), inside a compiled program."""
+        """Computes ``positions`` from m arrays of the same shape (batch axis last), inside a
+        compiled program."""
         rows: list[Array] = []
         for i, (weights, constant) in enumerate(zip(self.matrix, self.offset, strict=True)):
             (used,) = np.nonzero(weights)
@@ -79,8 +80,8 @@ class Transmission:
     def curved(
         self, linear: Float[AnyKind, "*batch n"], derivative: int = 0
     ) -> Float[AnyKind, "*batch n"]:
-        """p, p' or p'' of each joint at A q + b; NumPy or JAX. Positions of a hand without curves
-        are returned as they are."""
+        """Evaluates the polynomial p, or its derivative p' or p'', of each joint at A q + b; NumPy
+        or JAX. For a hand without curves, positions are returned as they are."""
         if not self.curves and derivative == 0:
             return linear
         table = self._tables[derivative].astype(linear.dtype)
@@ -107,7 +108,7 @@ def build_transmission(
     couplings: Sequence[Coupling],
     held: Mapping[str, float],
 ) -> Transmission:
-    """The transmission of a hand's couplings.
+    """Builds the transmission from a hand's couplings.
 
     Args:
         names: names of all joints.
@@ -157,8 +158,8 @@ def build_transmission(
 def leader_range(
     coefficients: Coefficients, leader: Float[np.ndarray, "2"], own: Float[np.ndarray, "2"]
 ) -> tuple[float, float]:
-    """Lower and upper end of the widest part of a leader's limits in which its follower keeps its
-    own limits [rad]; the lower one is above the upper one if there is no such part."""
+    """Ends of the widest part of a leader's limits in which its follower stays within its own
+    limits [rad]. The lower end is above the upper end if there is no such part."""
     curve = Polynomial(coefficients)
     crossings = np.concatenate([(curve - end).roots() for end in own[np.isfinite(own)]] or [[]])
     real = crossings[np.isreal(crossings)].real

@@ -1,4 +1,4 @@
-"""Joints between the forearm and the palm of a robot hand.
+"""Handles the joints between the forearm and the palm of a robot hand.
 
 They move no finger relative to the palm, so retargeting methods work on a hand without them. The
 commands of a hand with wrist joints have them behind the joints of the fingers.
@@ -22,9 +22,10 @@ MOST_WRIST_JOINTS: Final = 2
 
 
 def with_wrist_joints(hand: Hand) -> Hand:
-    """The same hand with its wrist joints as further actuated joints, behind all others; a hand
-    that has no wrist joints, or already has them so, is returned as it is. HandModelError if there
-    are more than two wrist joints, or one of them is not a limited hinge above the palm."""
+    """Returns the hand with its wrist joints as additional actuated joints, after all others. A
+    hand that has no wrist joints, or to which they were already added, is returned as it is. Raises
+    HandModelError if there are more than two wrist joints, or if one of them is not a limited hinge
+    above the palm."""
     names = hand.spec.wrist_joints
     check_wrist_joints(hand)
     if not names or names[0] in hand.joint_names:
@@ -48,7 +49,8 @@ def with_wrist_joints(hand: Hand) -> Hand:
 
 
 def has_joints(hand: Hand, names: Sequence[str]) -> bool:
-    """True if commands with these joint names are for a hand, with or without its wrist joints."""
+    """True if these joint names are those of a hand's commands, with or without its wrist
+    joints."""
     own = hand.joint_names
     return tuple(names) in (own, (*own, *hand.spec.wrist_joints))
 
@@ -67,7 +69,7 @@ def check_wrist_joints(hand: Hand) -> None:
 
 
 def joints_above_palm(hand: Hand) -> list[int]:
-    """Indices of the model's joints that move the palm, from its base on."""
+    """Indices of the joints between the base of the model and the palm, which move the palm."""
     model, body, joints = hand.model, hand.model.body(hand.spec.palm).id, list[int]()
     while body:
         first = int(model.body_jntadr[body])

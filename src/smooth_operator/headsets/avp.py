@@ -1,4 +1,4 @@
-"""Messages and hands of the Vision Pro app Tracking Streamer (``avp_stream``).
+"""Decodes hands from messages of the Vision Pro app Tracking Streamer (``avp_stream``).
 
 A hand is 25 joints, or 27 with two of the forearm, in WebXR's order: 4 x 4 transforms from the
 joint to the hand's anchor, which is the wrist; and the anchor's transform to the world, in ARKit's
@@ -49,7 +49,7 @@ def avp_frame(
     side: Side,
     stamp: float | None,
 ) -> HandFrame | None:
-    """A hand in the project's conventions.
+    """Converts a hand of the app to a frame in this project's conventions.
 
     Args:
         joints: transforms from joint to wrist [m]; NaN if missing.
@@ -139,8 +139,8 @@ def _message_class() -> tuple[Any, type[Exception]]:
 
 
 def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
-    """Hands of an encoded ``HandUpdate`` that the headset has seen, left first; RecordingError if
-    the message is damaged, or a hand has too few joints."""
+    """Reads the hands that the headset has seen from an encoded ``HandUpdate``, left first. Raises
+    RecordingError if the message is damaged, or if a hand has too few joints."""
     if len(data) > MOST_BYTES:
         raise RecordingError(f"a message of {len(data)} bytes is too long; at most {MOST_BYTES}")
     update, damaged = _message_class()

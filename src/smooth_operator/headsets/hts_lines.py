@@ -1,4 +1,4 @@
-"""Decoder of lines from the Quest app Hand Tracking Streamer (HTS) to hand frames.
+"""Decodes lines from the Quest app Hand Tracking Streamer (HTS) to hand frames.
 
 The app sends two lines of text for each hand, and one for the head::
 
@@ -52,7 +52,7 @@ _TOGETHER_S: Final = 0.05  # longest time between the two lines of one hand
 
 @dataclass(frozen=True, eq=False)
 class HtsLine:
-    """A parsed line.
+    """A parsed line of the app.
 
     Attributes:
         kind: kind of its values.
@@ -70,7 +70,8 @@ class HtsLine:
 
 
 def begins_line(data: bytes | bytearray) -> bool:
-    """True if some bytes can be the beginning of a line of the app, and not of an HTTP request."""
+    """True if some bytes can be the beginning of a line of the app, rather than of an HTTP
+    request."""
     words = " ".join(data.decode("ascii", "replace").lower().split(None, 2)[:2])
     return any(each.startswith(words) or words.startswith(each) for each in _BEGINNINGS)
 
@@ -115,7 +116,7 @@ def _values(text: str, count: int, what: str) -> Float[np.ndarray, " n"]:
 
 
 class HtsHands:
-    """Joins the line of a wrist and the line of its landmarks to a frame.
+    """Joins a wrist line and a landmark line to a hand frame.
 
     The wrist comes first. It belongs to one line of landmarks with the same number or, if there are
     no numbers, to one that arrives within 50 ms.
@@ -125,7 +126,7 @@ class HtsHands:
         self._wrists: dict[Side, tuple[HtsLine, float]] = {}
 
     def add(self, line: HtsLine, received: float) -> HandFrame | None:
-        """Adds a line with its time of receipt [s].
+        """Adds a line with the time at which it was received [s].
 
         Returns:
             the hand if the line completes one, else None. Its stamp may be None; its pose is NaN
@@ -156,7 +157,7 @@ def hts_frame(
     side: Side,
     stamp: float | None,
 ) -> HandFrame:
-    """Makes a hand frame in the project's conventions, with landmarks in the wrist's axes.
+    """Makes a hand frame in this project's conventions from landmarks in the wrist's axes.
 
     Args:
         points: landmarks from the app, in Unity's wrist axes [m].

@@ -1,4 +1,4 @@
-"""A hand of 26 joints as OpenXR's extension XR_EXT_hand_tracking gives it.
+"""Converts a hand of 26 joints, as OpenXR's extension XR_EXT_hand_tracking provides it.
 
 The joints are the palm, the wrist, and those of the fingers from thumb to little finger, in metres,
 in a world with y up. A joint's flags say which of its values are valid.
@@ -42,7 +42,8 @@ def openxr_frame(
     where: str,
     axes: Axes = "openxr",
 ) -> HandFrame:
-    """A hand in the project's conventions; joints without a valid position are not valid.
+    """Converts an OpenXR hand to this project's conventions. Joints whose position OpenXR does not
+    flag as valid are marked invalid.
 
     Args:
         poses: x y z [m] and quaternion x y z w of each joint.

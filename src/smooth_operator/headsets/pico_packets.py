@@ -1,4 +1,4 @@
-"""Decoder of packets from the PICO app XRoboToolkit to hand frames.
+"""Decodes packets from the PICO app XRoboToolkit to hand frames.
 
 The app connects to the PC service's TCP port 63901 and sends packets, little-endian:
 
@@ -59,7 +59,8 @@ _SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand
 
 
 def split_packets(buffer: bytearray) -> list[bytes]:
-    """Removes complete packets from the front of a buffer, which keeps the rest.
+    """Removes complete packets from the front of a buffer and returns them; incomplete data stays
+    in the buffer.
 
     Data that do not begin with a packet are returned as one piece, which ``read_packet`` refuses.
     """
@@ -76,7 +77,7 @@ def split_packets(buffer: bytearray) -> list[bytes]:
 
 
 def begins_packet(data: bytes | bytearray) -> bool:
-    """True if some bytes, at least one, can be the beginning of a packet."""
+    """True if some bytes (at least one) can be the beginning of a packet."""
     return _size(data) is not None
 
 
@@ -95,7 +96,7 @@ def _size(buffer: bytes | bytearray) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class PicoHands:
-    """Hands in a packet; empty for a packet of another function.
+    """Hands in a packet; empty for a packet that contains no hands.
 
     Attributes:
         frames: visible hands, left first, with the stamp ``stamp``.
@@ -107,7 +108,8 @@ class PicoHands:
 
 
 def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
-    """Reads a packet; raises RecordingError for other data, or for unreadable hands."""
+    """Reads a packet. Raises RecordingError if the data are not a packet, or if its hands can't be
+    read."""
     size = _size(data) if data else None
     if size is None or size != len(data):
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""Readers of the recordings of headset apps; ``READERS`` has their names.
+"""Readers of recordings made with headset apps; ``READERS`` lists them by name.
 
 - Tracking Streamer (Vision Pro) saves ``tracking.jsonl``, one JSON object per line: ``timestamp``
   [s], ``leftHand`` and ``rightHand`` with the wrist in ARKit's world and 24 joints in the wrist's
@@ -131,9 +131,9 @@ def _stacked(frames: list[HandFrame], name: str) -> np.ndarray | None:
 def read_avp_hands(
     path: Path, rate: float | None = None, side: Side | None = None
 ) -> dict[Side, HandRecording]:
-    """Reads all hands of a ``tracking.jsonl``, each with its own frames, on one clock. The file has
-    timestamps and states the sides, so ``rate`` and ``side`` are not used. RecordingError if there
-    is no hand in it."""
+    """Reads all hands of a ``tracking.jsonl``. Each hand has its own frames, and all use the same
+    clock. The file has timestamps and states the sides, so ``rate`` and ``side`` are not used.
+    Raises RecordingError if it contains no hand."""
     frames = _Collected(path, wrist=True)
     for message in _objects(path, frames):
         for key, hand_side in _SIDES:
@@ -166,7 +166,8 @@ def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None
 def read_hts_hands(
     path: Path, rate: float | None, side: Side | None = None
 ) -> dict[Side, HandRecording]:
-    """Reads all hands from lines of Hand Tracking Streamer, each with its own frames, on one clock.
+    """Reads all hands from lines of Hand Tracking Streamer. Each hand has its own frames, and all
+    use the same clock.
 
     Args:
         rate: frame rate [Hz] of a file without stamps.

@@ -1,4 +1,4 @@
-"""Filter for hands that an app repeats without a new measurement."""
+"""Drops hand frames that an app repeats without a new measurement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from smooth_operator.types import HandFrame, Side
 
 
 class Repeats:
-    """Passes only new measurements of hands.
+    """Passes new measurements of hands and drops repeated ones.
 
     Some apps repeat the last values while the headset has lost the hand. Two measurements of a
     visible hand are never equal in every bit.
@@ -25,9 +25,8 @@ class Repeats:
         self._last: dict[Side, HandFrame] = {}
 
     def new(self, frame: HandFrame) -> HandFrame | None:
-        """Returns the frame, with an invalid wrist if the wrist is lost; None if the frame is a
-        repetition.
-        """
+        """Returns the frame, or None if it is a repetition. If only the wrist was lost, its pose is
+        marked invalid."""
         last = self._last.get(frame.side)
         self._last[frame.side] = frame
         if last is None or not _same(frame.T_world_wrist, last.T_world_wrist):

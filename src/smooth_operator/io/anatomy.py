@@ -1,4 +1,4 @@
-"""Checks the size, order and side of landmarks by their shape.
+"""Checks the size, order and side of landmarks, judging by their shape.
 
 Order: ratios of the distances between neighbouring landmarks are compared with those of a human
 hand for every order of the fingers and for the layouts of other trackers (``LAYOUTS``). Side:
@@ -82,7 +82,7 @@ _PALM: Final = 8  # of these pairs: wrist to middle MCP
 
 @dataclass(frozen=True)
 class Doubt:
-    """Reason why landmarks can't be those of the declared side and order.
+    """Reason to believe that landmarks are not those of the declared side and order.
 
     Attributes:
         what: description of the landmarks, as a clause.
@@ -100,7 +100,7 @@ class Doubt:
 
     @property
     def in_python(self) -> str:
-        """Remedy for the points of a frame in a Python program."""
+        """Advice on how to correct the points of a frame in a Python program."""
         if self.side is not None:
             return (
                 f"load the {self.side} robot hand and use HandFrame(..., "
@@ -114,7 +114,8 @@ class Doubt:
 def implausible(
     landmarks: AnyArray, valid: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
-    """True for a frame that can't be a hand, judging by its size [m] or the lengths of its bones.
+    """True for each frame that can't show a hand, judging by its size [m] or the lengths of its
+    bones.
 
     Args:
         landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
@@ -132,8 +133,8 @@ def implausible(
 
 
 def of_a_picture(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """True for image landmarks of a camera tracker: x and y, normalised or in pixels, measured from
-    a corner of the picture, and z measured from the wrist."""
+    """True for image landmarks of a camera tracker: x and y are measured from a corner of the
+    picture (normalised or in pixels), and z from the wrist."""
     wrist, depth = landmarks[:, WRIST], np.abs(landmarks[..., 2]).max(axis=1, initial=0.0)
     flat = (np.abs(wrist[:, 2]) <= 1e-4 * depth) & (wrist[:, :2] > 0.0).all(axis=1)
     return len(landmarks) > 0 and bool(flat.all())
@@ -147,8 +148,8 @@ OF_A_PICTURE: Final = Doubt(
 
 
 def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """True if the ratios of bone lengths stay constant from one section of frames to the next; also
-    for too few frames."""
+    """True if the ratios of bone lengths stay constant over the recording, or if there are too few
+    frames to tell."""
     if len(landmarks) < FEWEST_FRAMES * _STRETCHES:
         return True
     bones = np.linalg.norm(np.diff(landmarks[:, _PAIRS[:20]], axis=2)[:, :, 0], axis=-1)
@@ -159,7 +160,7 @@ def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
 
 
 def of_the_other(side: Side) -> Doubt:
-    """Makes the problem of a hand that is not of the declared ``side``."""
+    """Makes the problem that is reported for a hand that is not of the declared ``side``."""
     other: Side = "left" if side == "right" else "right"
     return Doubt(
         f"judging by its shape, this is a {other} hand: fingers and thumb would bend to the "
@@ -183,7 +184,7 @@ def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
 
 
 def stands_and_bends(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two parts of the chirality of (T, 21, 3) landmarks; a part without data is 0."""
+    """Computes the two parts of the chirality of (T, 21, 3) landmarks; a part without data is 0."""
     points = landmarks - landmarks[:, :1]
     palmar = _unit(_cross(points[:, 5], points[:, 17]))
     palm = np.maximum(np.sqrt((points[:, 9] ** 2).sum(axis=-1)), 1e-9)
@@ -231,7 +232,7 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], at: float
     ) -> Doubt | None:
-        """Adds a frame and returns the problem with the last frames; None if all are right.
+        """Adds a frame and returns the problem with the last frames; None if nothing is wrong.
 
         Args:
             landmarks: positions [m].
@@ -269,7 +270,8 @@ class HandCheck:
 def wrong_order(
     points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...], believed: bool = False
 ) -> Doubt | None:
-    """Problem with the order of points; if the stated order is believed, only with their kind."""
+    """Problem with the order of the points. If the stated order is believed, only checks whether
+    the points are of the right kind."""
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
         if of_a_picture(points[:, list(stated)]):
             return OF_A_PICTURE
@@ -309,14 +311,16 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...]) -
 
 
 def bone_lengths(landmarks: AnyArray) -> AnyArray:
-    """(..., 26) lengths of bones and of lines across the palm [m], of (..., 21, 3) landmarks."""
+    """(..., 26) lengths of the bones and of lines across the palm [m], from (..., 21, 3)
+    landmarks."""
     bones = landmarks[..., _PAIRS[:, 1], :] - landmarks[..., _PAIRS[:, 0], :]
     lengths: AnyArray = array_namespace(landmarks).sqrt((bones * bones).sum(axis=-1))
     return lengths
 
 
 def misfits_of(lengths: AnyArray) -> AnyArray:
-    """Mean deviation of (..., pairs) lengths from a human hand's, in spreads of the population."""
+    """Mean deviation of (..., pairs) lengths from those of a human hand, in standard deviations of
+    the population."""
     xp = array_namespace(lengths)
     off = xp.log(xp.maximum(lengths, 1e-9)) - _LOGS.astype(lengths.dtype)
     off = off - off.mean(axis=-1, keepdims=True)

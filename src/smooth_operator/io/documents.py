@@ -52,7 +52,7 @@ def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
 
 
 def json_object(text: str | bytes) -> dict[str, Any] | None:
-    """Parses a message that should be a JSON object; None if it is not.
+    """Parses a message that should be a JSON object; None if it is something else.
 
     Args:
         text: as for ``parse_json``.

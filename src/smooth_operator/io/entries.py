@@ -1,4 +1,4 @@
-"""Checked look-ups in the table of a settings file (TOML or JSON), and a reader of TOML.
+"""Checks and looks up entries of a settings file (TOML or JSON), and reads TOML.
 
 Each error names the file, the entry and the expected value, and corrects a misspelt name.
 """
@@ -27,8 +27,8 @@ _T = TypeVar("_T", bound=str)
 
 @dataclass(frozen=True)
 class Entries:
-    """A table of a settings file. A look-up raises ``refuse`` if the entry is missing and has no
-    default, or has another type.
+    """A table of a settings file. A look-up raises ``refuse`` if the entry has another type, or if
+    it is missing and has no default.
 
     Attributes:
         file: name of the file in messages.
@@ -55,7 +55,7 @@ class Entries:
                 raise self.error(name, f"no such entry.{hint} Known entries: {', '.join(names)}")
 
     def check_format(self, version: int) -> None:
-        """Refuses a file whose entry ``format`` is a different version of its format."""
+        """Refuses a file whose entry ``format`` names another version of the file format."""
         number = self.whole("format")
         if number != version:
             newer = "; a newer smooth-operator wrote it: update yours" if number > version else ""
@@ -64,7 +64,8 @@ class Entries:
     def text(
         self, name: str, default: str | None = None, *, empty: bool = True, lines: bool = False
     ) -> str:
-        """Returns a string; with ``lines``, also one with several lines and control characters."""
+        """Returns a string. If ``lines``, the string may have several lines and control
+        characters."""
         value = self._get(name, default, "a string")
         if not isinstance(value, str):
             raise self.error(name, f"expected a string, not {brief(value)}")
@@ -83,14 +84,14 @@ class Entries:
         raise self.error(name, f"expected {' or '.join(map(repr, options))}, not {brief(value)}")
 
     def texts(self, name: str, *, what: str = "a list of strings") -> list[str]:
-        """Returns a list of strings; messages call it ``what``."""
+        """Returns a list of strings; ``what`` is its name in messages."""
         value = self._get(name, None, what)
         if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
             raise self.error(name, f"expected {what}, not {brief(value)}")
         return list(value)
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """Returns a whole number; unlike in Python, true is not a number."""
+        """Returns a whole number. Unlike in Python, true does not count as a number."""
         value = self._get(name, default, "a whole number")
         if isinstance(value, bool) or not isinstance(value, int) or abs(value) > 2**63:
             raise self.error(name, f"expected a whole number, not {brief(value)}")
@@ -103,7 +104,7 @@ class Entries:
     def numbers(
         self, name: str, count: int, default: Sequence[float] | None = None, *, what: str = ""
     ) -> Any:
-        """Returns a tuple of ``count`` finite numbers; messages call it ``what``."""
+        """Returns a tuple of ``count`` finite numbers; ``what`` is its name in messages."""
         what = what or f"{count} numbers"
         value = self._get(name, default, what)
         if not isinstance(value, list | tuple) or len(value) != count:
@@ -139,7 +140,8 @@ class Entries:
 
     @contextmanager
     def name_file(self) -> Iterator[None]:
-        """Converts errors of this package in the block to ``refuse``, with the name of the file."""
+        """Converts this package's errors inside the block to ``refuse``, and adds the name of the
+        file."""
         try:
             yield
         except SmoothOperatorError as error:
@@ -172,7 +174,7 @@ def read_entries(
     most_bytes: int,
     hint: str = "",
 ) -> Entries:
-    """Reads the table of a TOML file of at most ``most_bytes``.
+    """Reads the table of a TOML file, which may have at most ``most_bytes``.
 
     Args:
         path: path of the file.
@@ -201,8 +203,8 @@ _MOST_DOTS: Final = 1000  # in one line of TOML; the parser's time grows with th
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parses a TOML text to a table; DocumentError if the text is not TOML, or exceeds a limit as
-    in ``parse_json``."""
+    """Parses a TOML text to a table. Raises DocumentError if the text is not TOML, or exceeds one
+    of the limits of ``parse_json``."""
     if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
         raise DocumentError(f"a line has more than {_MOST_DOTS} dots")
     try:

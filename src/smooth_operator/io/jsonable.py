@@ -17,7 +17,7 @@ from smooth_operator.errors import ConfigError
 
 
 def to_json(value: Any, *, indent: int | None = None) -> str:
-    """Convert dataclasses, enums, paths, NumPy values and plain containers to strict JSON.
+    """Converts dataclasses, enums, paths, NumPy values and plain containers to strict JSON.
 
     Non-finite numbers, which JSON can't represent, become the strings ``"nan"``, ``"inf"`` and
     ``"-inf"``, which ``float`` reads back. Enums become their names, tuples and arrays lists.

@@ -31,8 +31,8 @@ _CMC: Final = np.array([0.63, 0.408, 0.103, -0.141])  # their shares: least squa
 
 
 def layout_order(name: str | None) -> tuple[int, ...]:
-    """Index of each landmark among the points of a layout; None is the project's own layout.
-    UnknownNameError if there is no such layout."""
+    """Index of each landmark among the points of a layout; None means the project's own layout.
+    Raises UnknownNameError if there is no such layout."""
     if name is None:
         return LAYOUTS["mediapipe"]
     if name not in LAYOUTS:
@@ -65,7 +65,8 @@ def check_hand(
     layout: str | None = None,
     where: str = "the landmarks",
 ) -> None:
-    """Refuse points whose shape is not a hand, is the other hand, or has another order.
+    """Refuses points whose shape is not that of a hand, is that of the other hand, or has another
+    order.
 
     Args:
         points: (T, 21, 3) original positions [m], in any right-handed frame.
@@ -86,7 +87,7 @@ def check_hand(
 
 
 def remedy(doubt: Doubt) -> str:
-    """Remedy for a file: the option on the command line, or the Python code."""
+    """Advice on how to correct a file: the option on the command line, or the Python code."""
     if doubt.side is not None:
         return (
             f"use --side {doubt.side} (in Python: side={doubt.side!r}); if the recording "
@@ -104,8 +105,8 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """Problem with the shape, order or side of points; None if all are right. The arguments are
-    those of ``check_hand``. UnknownNameError if there is no such layout."""
+    """Problem with the shape, order or side of points; None if nothing is wrong. Takes the same
+    arguments as ``check_hand``. Raises UnknownNameError if there is no such layout."""
     order = layout_order(layout)
     believed = layout is not None and order == LAYOUTS["mediapipe"]
     whole = np.isfinite(points).all(axis=(1, 2))
@@ -135,7 +136,8 @@ def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | N
 
 
 def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]:
-    """Chirality of each frame, judged by its shape: positive for a right hand, else negative.
+    """Chirality of each frame, judged by its shape: positive for a right hand, negative for a left
+    hand.
 
     It is the sum of three terms: the distance of thumb CMC and MCP in front of the plane of the
     palm, the distance of middle and ring MCP behind it, both in palm lengths, and the mean sine of

@@ -1,4 +1,4 @@
-"""Reads untrusted regular files, and defines the limits of parsing them.
+"""Reads untrusted regular files, and defines the limits for parsing them.
 
 The parsers of the standard library accept brackets nested until the stack overflows, whole numbers
 too long for a float, and dotted keys that take minutes. Every document from a user, a file or a
@@ -60,5 +60,5 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
 
 
 def too_deep() -> DocumentError:
-    """Creates the error for a text with more than ``MOST_LEVELS`` levels."""
+    """Creates the error for a text that is nested more than ``MOST_LEVELS`` deep."""
     return DocumentError(f"it has more than {MOST_LEVELS} levels of lists and tables")

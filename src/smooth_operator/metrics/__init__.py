@@ -1,4 +1,4 @@
-"""Metrics of a run: pure functions of the human's motion and the robot's commands.
+"""Metrics of a run, as pure functions of the human's motion and the robot's commands.
 
 ``evaluate(trace)`` gives all of them; each module of the package holds one family and can be used
 alone: ``smooth_operator.metrics.accuracy``, ``smooth_operator.metrics.consistency``,

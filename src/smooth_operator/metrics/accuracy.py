@@ -1,4 +1,4 @@
-"""Accuracy: do the robot's keyvectors have the direction and the length of the human's?"""
+"""Accuracy: do the robot's keyvectors have the same direction and length as the human's?"""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _LENGTH_FLOOR: Final = 1e-9  # [m]
 def cosines(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> Float[np.ndarray, "T K"]:
-    """(T, K) cosine similarity of each keyvector [m], v_H . v_R / (|v_H| |v_R|); best at 1, NaN
-    where the human vector is unknown.
+    """(T, K) cosine similarity of human and robot keyvectors [m], v_H . v_R / (|v_H| |v_R|); best
+    at 1, NaN where the human vector is unknown.
 
     Source: the paper's accuracy metrics (supplement, sim-to-real analysis).
     """
@@ -29,8 +29,8 @@ def cosines(
 def length_ratios(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> Float[np.ndarray, "T K"]:
-    """(T, K) scale ratio of each keyvector [m], |v_R| / |v_H|; best at 1, NaN where the human
-    vector is unknown.
+    """(T, K) length ratio of robot to human keyvectors [m], |v_R| / |v_H|; best at 1, NaN where the
+    human vector is unknown.
 
     Source: the paper's accuracy metrics. A very short human vector (a pinch) makes the ratio large,
     which affects a mean over frames but not a median.

@@ -31,7 +31,7 @@ def assemble_trace(
     *,
     reach_samples: int = REACH_SAMPLES,
 ) -> Trace:
-    """Transforms both hands to the robot's palm frame.
+    """Collects the data of a run, with both hands transformed to the robot's palm frame.
 
     Args:
         recording: the human hand, T frames.

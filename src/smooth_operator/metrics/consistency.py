@@ -1,4 +1,5 @@
-"""Consistency: does the robot's motion have the human's direction, smoothly and on time?"""
+"""Consistency: does the robot move in the same direction as the human, smoothly and without
+delay?"""
 
 from __future__ import annotations
 
@@ -32,8 +33,8 @@ MIN_LAG_OVERLAP: Final = 5
 def motion_preservation(
     human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Mean cosine of the steps of the (T, F, 3) wrist to tip vectors [m], human against robot;
-    best at 1. None if the two never move together.
+    """Mean cosine between human and robot steps of the (T, F, 3) vectors from wrist to tip [m];
+    best at 1. None if the two hands never move at the same time.
 
     Source: the paper's consistency metrics. Steps in which either hand rests (``HUMAN_STILL``,
     ``ROBOT_STILL``) have no meaningful direction and are excluded.
@@ -49,8 +50,7 @@ def shake_at_rest(
     robot: Float[np.ndarray, "T F 3"],
     stamps: Float[np.ndarray, " T"],
 ) -> float | None:
-    """Ratio of the root mean square fingertip steps of robot and human while the human's fingertip
-    rests.
+    """Ratio of robot to human root-mean-square fingertip steps while the human's fingertip rests.
 
     1 means that all of the tracker's shake reaches the robot, 0 that none does; lower is better.
 
@@ -88,7 +88,7 @@ def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
 def fingertip_acceleration(
     tips: Float[np.ndarray, "T F 3"], stamps: Float[np.ndarray, " T"]
 ) -> float | None:
-    """Mean magnitude of fingertip acceleration [m/s^2], by the real timestamps [s]; lower is
+    """Mean magnitude of fingertip acceleration [m/s^2], from the real timestamps [s]; lower is
     better. None for fewer than three frames.
 
     Unlike ``flatness``, it does not depend on the frame rate. It is exact for motion of constant
@@ -137,7 +137,7 @@ def lag(
 def frozen_share(
     human: Float[np.ndarray, "T F 3"], joint_positions: Float[np.ndarray, "T n"]
 ) -> float | None:
-    """Fraction of the frames with a moving human in which no robot joint moves; lower is better.
+    """Fraction of the frames in which the human moves but no robot joint does; lower is better.
     None if the human never moves.
 
     The human moves if any fingertip moves further than ``HUMAN_STILL`` in a frame; the robot is

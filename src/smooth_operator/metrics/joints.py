@@ -1,4 +1,4 @@
-"""Joint space: jitter, sudden steps, and commands beyond the limits."""
+"""Metrics in joint space: jitter, sudden steps, and commands beyond the limits."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def joint_jitter(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
 def joint_acceleration(
     joint_positions: Float[np.ndarray, "T n"], stamps: Float[np.ndarray, " T"]
 ) -> float | None:
-    """Mean magnitude of joint acceleration [rad/s^2], by the real timestamps [s]; lower is better.
-    None for fewer than three frames."""
+    """Mean magnitude of joint acceleration [rad/s^2], from the real timestamps [s]; lower is
+    better. None for fewer than three frames."""
     return summary.mean(np.abs(second_derivative(joint_positions, stamps)))
 
 
@@ -39,9 +39,10 @@ def max_joint_step(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
 def limit_violation(
     joint_positions: Float[np.ndarray, "T n"], joint_limits: Float[np.ndarray, "n 2"]
 ) -> tuple[float | None, float | None]:
-    """Largest excess of commands beyond the (n, 2) joint limits [rad], 0 if all are within, and the
-    share of frames in which some joint is out by more than ``LIMIT_TOLERANCE``. Lower is better;
-    None for an empty run. A limit is NaN or infinite where there is none."""
+    """Returns the largest amount by which commands exceed the (n, 2) joint limits [rad], 0 if they
+    never do, and the share of frames in which some joint exceeds a limit by more than
+    ``LIMIT_TOLERANCE``. Lower is better; None for an empty run. A missing limit is NaN or infinite.
+    """
     lower, upper = joint_limits.T
     excess = np.fmax(np.fmax(lower - joint_positions, joint_positions - upper), 0.0)
     return summary.maximum(excess), summary.mean((excess > LIMIT_TOLERANCE).any(axis=-1))

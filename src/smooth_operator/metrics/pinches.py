@@ -23,7 +23,7 @@ DEEP: Final = 0.002
 
 
 def pinched_frames(tips: Float[np.ndarray, "T F 3"]) -> Bool[np.ndarray, "T f"]:
-    """(T, F - 1) True if the human pinches with a finger.
+    """(T, F - 1) True where the human pinches with that finger.
 
     Args:
         tips: (T, F, 3) aligned human fingertips, thumb first [m].
@@ -33,8 +33,8 @@ def pinched_frames(tips: Float[np.ndarray, "T F 3"]) -> Bool[np.ndarray, "T f"]:
 
 
 def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Fraction of pinches in which the robot's surfaces touch; best at 1. None with fewer than
-    ``LEAST_PINCHED``.
+    """Fraction of pinches in which the robot's surfaces touch; best at 1. None for fewer than
+    ``LEAST_PINCHED`` pinches.
 
     Args:
         distances: distance of the surfaces in each pinch [m]; NaN where there is none.
@@ -43,7 +43,7 @@ def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
 
 
 def deep_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Fraction of pinches in which the surfaces penetrate too deep; best at 0."""
+    """Fraction of pinches in which the robot's surfaces penetrate too deep; best at 0."""
     return _share_below(distances, -DEEP)
 
 

@@ -1,4 +1,4 @@
-"""Posture: does the robot hand open and close with the human's, and move as much?
+"""Posture: does the robot hand open and close with the human's hand, and move as much?
 
 All metrics are computed from landmarks only and do not depend on the size of either hand. The
 extension of a finger is the distance from its base to its tip, divided by its longest possible
@@ -45,7 +45,7 @@ _TINY: Final = 1e-9
 
 
 def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:
-    """Extension of human fingers; 1 for a straight finger.
+    """Extension of human fingers; 1 means straight.
 
     Args:
         fingers: (T, L, 4, 3) landmarks of L fingers, base to tip [m].
@@ -56,24 +56,24 @@ def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray,
 def robot_extensions(
     fingers: Float[np.ndarray, "T L 4 3"], straight: Float[np.ndarray, " L"]
 ) -> Float[np.ndarray, "T L"]:
-    """Extension of robot fingers with four points each [m]: their base-to-tip distance over the
-    (L,) base-to-tip distance of the straight fingers [m]."""
+    """Extension of robot fingers with four points each [m]: their base-to-tip distance divided by
+    the (L,) base-to-tip distance of the straight fingers [m]."""
     return np.asarray(_lengths(fingers) / straight)
 
 
 def extension_error(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean absolute difference of the extensions; lower is better. None without data."""
+    """Mean absolute difference between human and robot extensions; lower is better. None without
+    data."""
     return summary.mean(np.abs(robot - human))
 
 
 def flat_extension_lack(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean missing extension of the robot's fingers while the human hand is flat; lower is better.
-    None if the human hand is never flat.
-    """
+    """How much the robot's fingers lack to be straight while the human hand is flat, on average;
+    lower is better. None if the human hand is never flat."""
     flat = (human > FLAT).all(axis=-1)  # NaN compares as False
     return summary.mean(np.maximum(human - robot, 0.0)[flat])
 
@@ -81,9 +81,8 @@ def flat_extension_lack(
 def fist_extension_excess(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean excess extension of the robot's fingers while the human hand is a fist; lower is better.
-    None if the human hand never makes a fist.
-    """
+    """How much farther the robot's fingers are extended than the human's while the human hand is a
+    fist, on average; lower is better. None if the human hand never makes a fist."""
     fist = (human < FIST).all(axis=-1)
     return summary.mean(np.maximum(robot - human, 0.0)[fist])
 
@@ -91,7 +90,8 @@ def fist_extension_excess(
 def direction_errors(
     human: Float[np.ndarray, "T F 4 3"], robot: Float[np.ndarray, "T F 4 3"]
 ) -> Float[np.ndarray, "T F"]:
-    """Angle between the base-to-tip vectors of human, aligned to the palm, and robot [degrees]."""
+    """Angle between the base-to-tip vectors of the human hand, aligned to the palm, and those of
+    the robot hand [degrees]."""
     h, r = (unit_vectors(x[:, :, 3] - x[:, :, 0], np) for x in (human, robot))
     return np.asarray(np.degrees(np.arccos(np.clip((h * r).sum(axis=-1), -1, 1))))
 
@@ -110,23 +110,23 @@ def curls(fingers: Float[np.ndarray, "T F 4 3"]) -> Float[np.ndarray, "T F"]:
 def spreads(
     fingers: Float[np.ndarray, "T L 4 3"], across: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T N"]:
-    """Sideways angle between neighbouring fingers, within the plane of the palm [degrees];
-    ``across`` is the direction across the palm."""
+    """Sideways angle between neighbouring fingers, in the plane of the palm [degrees]; ``across``
+    is the direction across the palm."""
     directions = unit_vectors(fingers[:, :, 3] - fingers[:, :, 0], np)
     sideways = (directions * unit_vectors(across, np)[:, None]).sum(axis=-1)
     return np.asarray(np.diff(np.degrees(np.arcsin(np.clip(sideways, -1, 1))), axis=1))
 
 
 def steps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "S F"]:
-    """Distance that each fingertip moves between two frames [m]."""
+    """Distance that each fingertip moves from one frame to the next [m]."""
     return np.asarray(np.linalg.norm(np.diff(tips, axis=0), axis=-1))
 
 
 def finger_gains(
     human: Float[np.ndarray, "T F 4 3"], straight: Float[np.ndarray, " F"]
 ) -> Float[np.ndarray, " F"]:
-    """(F,) ratio of each robot finger's straight length [m] to the human finger's, the sum of its
-    median aligned bones [m]; NaN if the human was never seen."""
+    """(F,) ratio of each robot finger's straight length [m] to that of the human finger, which is
+    the sum of its median aligned bone lengths [m]; NaN if the human hand was never seen."""
     bones = _bone_lengths(human)
     seen = bones[np.isfinite(bones).all(axis=1)]
     if not len(seen):
@@ -153,7 +153,7 @@ def step_gains(
 
 
 def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
-    """Fraction of large human steps that the robot follows by less than a third; best at 0."""
+    """Fraction of large human steps of which the robot follows less than a third; best at 0."""
     return summary.mean((gains < STALLED)[np.isfinite(gains)])
 
 
@@ -201,8 +201,8 @@ def settling_times(
 def common_shift(
     human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Length of the mean error of the aligned wrist-to-tip vectors over fingers, mean over frames
-    [m]."""
+    """Length of the error of the aligned wrist-to-tip vectors, averaged first over fingers and then
+    over frames [m]."""
     return summary.mean(np.linalg.norm((robot - human).mean(axis=1), axis=-1))
 
 

@@ -1,4 +1,5 @@
-"""The paper's own definitions of three metrics, where they differ from this package's (``sound``).
+"""The Smooth Operator paper's own definitions of three metrics, where they differ from this
+package's (``sound``).
 
 - Each frame, the human hand is fitted (rotation, translation, scale) to the robot's *own pose* with
   the wrist, the palm landmarks, and the last joint and the tip of each finger: 14 landmarks on the
@@ -46,7 +47,7 @@ def scale_ratio(
 def motion_preservation(
     human_tips: Float[np.ndarray, "T F 3"], robot_tips: Float[np.ndarray, "T F 3"]
 ) -> float | None:
-    """Mean over frames and tips of dp_H . dp_R / (|dp_H| |dp_R| + 1e-8), all frames; best at 1."""
+    """Mean of dp_H . dp_R / (|dp_H| |dp_R| + 1e-8) over all frames and fingertips; best at 1."""
     return summary.mean(_cosines(np.diff(human_tips, axis=0), np.diff(robot_tips, axis=0)))
 
 
@@ -62,7 +63,7 @@ def fit_to_robot(
     robot: Float[np.ndarray, "T N 3"],
     using: Sequence[int] | None = None,
 ) -> Float[np.ndarray, "T N 3"]:
-    """Human landmarks after the least-squares similarity onto the robot's, frame by frame.
+    """Fits the human landmarks to the robot's in each frame, by a least-squares similarity.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters between two point
     patterns" (1991), Eqs. (40)-(43), over those of the chosen landmarks that both have.

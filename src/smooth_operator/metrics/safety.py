@@ -41,7 +41,8 @@ def workspace_utilisation(
     reach: Float[np.ndarray, "S F 3"],
     radius: float = WORKSPACE_RADIUS,
 ) -> list[float | None]:
-    """Fraction of each fingertip's reachable set near a visited point; higher is better.
+    """Fraction of each fingertip's reachable positions that are near a visited point; higher is
+    better.
 
     Source: the paper's efficiency metrics (Monte-Carlo form of the volume ratio). It grows with the
     recording's length, so compare only results on the same recording.

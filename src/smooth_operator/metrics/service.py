@@ -1,4 +1,4 @@
-"""Metrics of service: latency and status of commands."""
+"""Latency and status of commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Reductions that skip values that are not finite and return None without data."""
+"""Mean, median, maximum and percentile that skip values that are not finite and return None without
+data."""
 
 from __future__ import annotations
 
@@ -7,7 +8,8 @@ from jaxtyping import Float, Shaped
 
 
 def mean(values: Shaped[np.ndarray, "..."]) -> float | None:
-    """Mean of the finite values (for booleans, the fraction of true); None if none is finite."""
+    """Mean of the finite values (for booleans, the fraction of true values); None if no value is
+    finite."""
     finite = _finite(values)
     return float(finite.mean()) if finite.size else None
 

@@ -1,4 +1,4 @@
-"""List of all metrics, including those of plugins: name, unit, better direction, meaning and
+"""Lists all metrics, including those of plugins: name, unit, better direction, meaning and
 function.
 
 ``evaluate`` gives all metrics of a run as one JSON-serialisable dictionary."""
@@ -48,7 +48,7 @@ _DIRECTIONS: Final = {
 
 @dataclass(frozen=True)
 class Metric:
-    """One metric of a run.
+    """Definition of one metric of a run.
 
     Attributes:
         name: key in the result of ``evaluate``; a dot separates the keys of nested results.
@@ -79,16 +79,17 @@ class Metric:
 
     @property
     def sign(self) -> str:
-        """Better direction as a sign; "" for a fact."""
+        """Better direction as a sign; empty for a metric that is neither good nor bad."""
         return _DIRECTIONS[self.goal][0]
 
     @property
     def better(self) -> str:
-        """Better direction in words; "" for a fact."""
+        """Better direction in words; empty for a metric that is neither good nor bad."""
         return _DIRECTIONS[self.goal][1]
 
     def of(self, result: Mapping[str, object]) -> object:
-        """This metric's value in a result; UnknownNameError if the result has no such key."""
+        """Returns this metric's value in a result; UnknownNameError if the result has no such
+        key."""
         value: object = result
         for key in self.name.split("."):
             if not isinstance(value, Mapping) or key not in value:
@@ -362,7 +363,7 @@ REGISTRY: Final = Registry(
 
 
 def find_metric(name: str) -> Metric:
-    """A metric by its name, or by ``package.module:attribute``.
+    """Finds a metric by its name, or by ``package.module:attribute``.
 
     Raises:
         UnknownNameError: there is none.
@@ -383,7 +384,7 @@ def _offered(name: str) -> tuple[object, ...]:
 
 
 def add_metrics(targets: Iterable[str]) -> None:
-    """Adds metrics in this process; ``evaluate`` then measures them like those of plugins.
+    """Adds metrics in this process; ``evaluate`` then computes them like those of plugins.
 
     Args:
         targets: ``package.module:attribute`` of a ``Metric`` or of a tuple of them.
@@ -400,7 +401,7 @@ def add_metrics(targets: Iterable[str]) -> None:
 
 
 def known_metrics() -> tuple[Metric, ...]:
-    """The built-in metrics, then those of plugins; metrics that can't be loaded are skipped."""
+    """The built-in metrics, then those of plugins. Metrics that can't be loaded are skipped."""
     return tuple(REGISTRY.loadable(find_metric).values())
 
 
@@ -419,7 +420,7 @@ def evaluate(
     definition: Definition = "sound",
     extra: Mapping[str, float | None] | None = None,
 ) -> dict[str, Value]:
-    """Measures a run.
+    """Computes the metrics of a run.
 
     Args:
         trace: the run.

@@ -122,27 +122,29 @@ class Trace:
 
     @property
     def human_tips(self) -> Float[np.ndarray, "T F 3"]:
-        """Human fingertips that correspond to the robot's fingers [m]."""
+        """Positions of the human fingertips that correspond to the robot's fingers [m]."""
         return np.asarray(self.human[:, [TIPS[FINGERS.index(name)] for name in self.fingers]])
 
     @property
     def human_reaches(self) -> Float[np.ndarray, "T F 3"]:
-        """Human wrist to fingertip vectors [m]: fingertip motion without motion of the wrist."""
+        """Vectors from the human's wrist to the fingertips [m], which show fingertip motion without
+        wrist motion."""
         return np.asarray(self.human_tips - self.human[:, WRIST, None])
 
     @property
     def robot_reaches(self) -> Float[np.ndarray, "T F 3"]:
-        """Robot wrist to fingertip vectors [m]."""
+        """Vectors from the robot's wrist to its fingertips [m]."""
         return np.asarray(self.robot_tips - self.robot_wrist)
 
     @property
     def human_fingers(self) -> Float[np.ndarray, "T F 4 3"]:
-        """Human landmarks from base to tip of the fingers that the robot hand has [m]."""
+        """Human landmarks, from base to tip, of the fingers that the robot hand has [m]."""
         return np.asarray(self.human[:, self._chains])
 
     @property
     def robot_fingers(self) -> Float[np.ndarray, "T F 4 3"]:
-        """The robot's points from base to tip of its fingers [m]; NaN where it has none."""
+        """The robot's points, from base to tip, of its fingers [m]; NaN for points that it
+        lacks."""
         if self.robot_landmarks is None:
             return np.full((len(self), len(self.fingers), 4, 3), np.nan)
         return np.asarray(self.robot_landmarks[:, self._chains])
@@ -154,12 +156,12 @@ class Trace:
 
     @property
     def human_keyvectors(self) -> Float[np.ndarray, "T K 3"]:
-        """All human keyvectors [m], as ``keyvectors`` orders them."""
+        """All human keyvectors [m], in the order of ``keyvectors``."""
         return keyvectors(self.human_tips, self.human[:, WRIST])
 
     @property
     def robot_keyvectors(self) -> Float[np.ndarray, "T K 3"]:
-        """All robot keyvectors [m], as ``keyvectors`` orders them."""
+        """All robot keyvectors [m], in the order of ``keyvectors``."""
         return keyvectors(self.robot_tips, np.broadcast_to(self.robot_wrist, (len(self), 3)))
 
     @property
@@ -171,8 +173,8 @@ class Trace:
 def keyvectors(
     tips: Float[np.ndarray, "T F 3"], wrist: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T K 3"]:
-    """Keyvectors of a hand: wrist to each tip (F), thumb tip to the others (F - 1), then tip to tip
-    among the others; K = F (F + 1) / 2, which is 15 for five fingers.
+    """Keyvectors of a hand: from the wrist to each tip (F), from the thumb's tip to the other tips
+    (F - 1), then between the other tips. There are K = F (F + 1) / 2, which is 15 for five fingers.
 
     Args:
         tips: (T, F, 3) fingertips [m], thumb first.

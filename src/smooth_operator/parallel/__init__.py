@@ -1,4 +1,4 @@
-"""Parallel tasks in processes of this machine or on a Ray cluster.
+"""Runs tasks in parallel, in processes of this machine or on a Ray cluster.
 
 The package is independent of hands: a task is any value that can be pickled.
 """

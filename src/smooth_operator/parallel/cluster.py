@@ -1,5 +1,5 @@
-"""Runs tasks on a Ray cluster with ``map_batches`` of Ray Data, with the same rules as the local
-pool.
+"""Runs tasks on a Ray cluster with Ray Data's ``map_batches``, following the same rules as the
+local pool.
 
 Ray replaces workers and nodes that die, and gives their tasks to other workers.
 """
@@ -50,7 +50,7 @@ def run_on_cluster(
     workers: int | None = None,
     retries: int = 2,
 ) -> Generator[TaskResult[R]]:
-    """Yields results of tasks from a cluster; see ``run_tasks``.
+    """Yields the results of tasks that run on a cluster; see ``run_tasks``.
 
     Raises:
         ConfigError: a number of workers is not valid.
@@ -109,19 +109,19 @@ def _results(
 
 
 class Starts:
-    """Counts the starts of each task; Ray itself retries without a limit."""
+    """Counts how often each task was started, because Ray itself retries without a limit."""
 
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
 
     def count(self, index: int) -> int:
-        """Returns the number of starts of a task, including this one."""
+        """Counts one more start of a task, and returns the number of its starts."""
         self._counts[index] += 1
         return self._counts[index]
 
 
 class Worker:
-    """A worker of the cluster for ``map_batches``: pickled tasks in, pickled answers out.
+    """A worker of the cluster for ``map_batches``: takes pickled tasks and returns pickled answers.
 
     Args:
         function: function of a task.
@@ -174,7 +174,8 @@ def _data_context(ray: Any) -> Iterator[None]:
 
 @contextlib.contextmanager
 def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
-    """Connects to a cluster inside the block; an existing connection is used and stays open.
+    """Connects to a cluster for the duration of the block. An existing connection is used and stays
+    open.
 
     Args:
         ray: the module ``ray``.

@@ -63,7 +63,7 @@ def run_tasks(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Generator[TaskResult[R]]:
-    """Call a function with each task, several in parallel.
+    """Calls a function with each task, several in parallel.
 
     Tasks are started in their order. An exception of the function is the result of its task,
     without a retry. A worker that dies (killed, out of memory), even while it sends a result, is
@@ -110,7 +110,8 @@ def run_groups(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Generator[tuple[T, TaskResult[R]]]:
-    """Run groups of work like ``run_tasks``, and split a group whose workers die into parts.
+    """Runs groups of work like ``run_tasks``. If the workers of a group die, splits the group into
+    parts.
 
     The parts run one by one. Yields groups, or parts of them, each with its result."""
     parts: list[T] = []
@@ -129,14 +130,14 @@ def run_groups(
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class PersistentPool(Generic[T, R]):
-    """Processes that keep their compiled programs from one list of tasks to the next.
+    """Worker processes that keep their compiled programs from one list of tasks to the next.
 
     It is meant for a search in which the next tasks depend on previous results. Failures and
     retries are handled as in ``run_tasks``. Use it as a context manager: the workers end with the
@@ -172,7 +173,7 @@ class PersistentPool(Generic[T, R]):
                 ) from error
 
     def run(self, tasks: Sequence[T]) -> Generator[TaskResult[R]]:
-        """Yield one result per task, in the order in which they finish."""
+        """Yields one result per task, in the order in which the tasks finish."""
         if not self._workers:
             for index, task in enumerate(tasks):
                 yield TaskResult(index, *timed(self._function, task), 1)
@@ -248,7 +249,7 @@ class PersistentPool(Generic[T, R]):
         return False
 
     def close(self) -> None:
-        """End the workers; a worker that is busy with a task can clean up first."""
+        """Ends the workers. A worker that is busy with a task can clean up first."""
         _end(self._all)
         self._all.clear()
         self._idle.clear()

@@ -1,4 +1,4 @@
-"""Results of tasks, and the set-up of a process that works on them."""
+"""Runs a task and packs its result, and prepares a process to work on tasks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ class TaskResult(Generic[R]):
 
 
 def timed(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, float]:
-    """Value, error and seconds of one call; an exception of the function becomes the error.
+    """Calls a function with a task; returns the value, the error and the time taken [s]. An
+    exception of the function becomes the error.
 
     This includes ``SystemExit``, because a library that exits must not end a worker.
     """
@@ -53,7 +54,7 @@ def timed(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, fl
 
 
 def packed_answer(function: Callable[[Any], Any], raw: bytes) -> bytes:
-    """Runs a pickled task in a worker; returns its pickled value, error and seconds."""
+    """Runs a pickled task in a worker; returns its value, error and time taken, pickled."""
     answer = timed(lambda _: function(ForkingPickler.loads(raw)), None)
     try:
         return pack(*answer)
@@ -62,7 +63,7 @@ def packed_answer(function: Callable[[Any], Any], raw: bytes) -> bytes:
 
 
 def pack(value: Any, error: str | None, seconds: float = 0.0) -> bytes:
-    """Pickle the answer to a task."""
+    """Pickles the answer to a task."""
     return bytes(ForkingPickler.dumps((value, error, seconds)))
 
 
@@ -81,7 +82,7 @@ def death(attempts: int, how: str) -> str:
 
 @contextmanager
 def one_thread(slot: int) -> Iterator[Callable[[], None]]:
-    """Limits libraries that start their threads inside the block to one thread.
+    """Limits libraries that start threads inside the block to one thread.
 
     Small programs are faster with one: the preset realtime takes 0.6 ms per frame on one of XLA's
     threads and 0.8 ms on two. Also, as many workers as cores then do not compete for the cores.

@@ -1,4 +1,4 @@
-"""Style of plots: colours of methods, colours for light and dark pages, figures as PNG and SVG."""
+"""Style of plots: colours of methods, colours for light and dark pages, output as PNG and SVG."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 
 
 def colors_of(methods: Iterable[str]) -> dict[str, str]:
-    """Returns a colour for each method: its own colour, or one derived from its name.
+    """Chooses a colour for each method: the method's own colour, or one derived from its name.
 
     It does not depend on the order of the names. Names without a colour get different spare
     colours, as long as there are enough.
@@ -55,7 +55,7 @@ def _spare_color(name: str, taken: Iterable[str]) -> str:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Sets matplotlib's style for the figures drawn inside the block."""
+    """Sets matplotlib's style for the figures that are drawn inside the block."""
     import matplotlib as mpl
 
     settings: Any = {
@@ -86,8 +86,8 @@ def styled() -> Iterator[None]:
 
 
 def series(name: str, label: str = "") -> str:
-    """The ``gid`` of the parts of a series in a plot; while one is hovered, a page dims the other
-    series.
+    """Value of ``gid`` for the parts of a series in a plot. While the user hovers over one series,
+    the page dims the others.
 
     Args:
         name: name of the series, as in ``data-series`` of the page's tables.
@@ -100,7 +100,8 @@ def name_points(
     points: Mapping[str, tuple[float, float]],
     size: float = 9.0,
 ) -> None:
-    """Write a name next to each point, in free space; limits and layout must be final.
+    """Labels each point where there is room. Call it only when the axis limits and the layout no
+    longer change.
 
     Args:
         points: name -> x and y of the data.
@@ -144,7 +145,7 @@ def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 
 
 def plain_logs(ax: Axes, both: bool = True) -> None:
-    """Label logarithmic axes with plain numbers instead of powers of ten."""
+    """Labels logarithmic axes with plain numbers instead of powers of ten."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):
@@ -216,7 +217,7 @@ palette. The key is the name: the settings of keyvector, hybrid, dexpilot and ak
 
 
 def method_color(name: str) -> str | None:
-    """Returns the colour of a method in reports, ``#rrggbb``; None if it has none.
+    """Returns the colour ``#rrggbb`` that reports use for a method; None if the method has none.
 
     The colour of a plugin's method is ``MethodConfig.color``.
     """

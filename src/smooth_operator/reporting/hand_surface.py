@@ -37,8 +37,8 @@ class Surface(NamedTuple):
 
 
 def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Axes of the view in the palm frame, as rows right, up and towards the viewer: fingers up,
-    palm visible.
+    """Axes of the view in the palm frame; its rows point right, up and towards the viewer, with
+    fingers up and palm visible.
 
     The thumb of a right hand is on the right, as when you look at your own palm, and that of a left
     hand on the left. The jaws of a gripper are on both sides of its middle.
@@ -61,20 +61,19 @@ def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
 
 
 class HandShape(Protocol):
-    """A robot hand that can be posed and drawn; positions in its palm frame [m]."""
+    """A robot hand that can be posed and drawn; positions are in its palm frame [m]."""
 
     @property
     def view(self) -> Float[np.ndarray, "3 3"]:
-        """Matrix with the rows right, up and toward a viewer who looks at the palm with the fingers
-        up.
-        """
+        """Matrix whose rows point right, up and towards a viewer who looks at the palm with the
+        fingers up."""
 
     @property
     def wrist(self) -> Float[np.ndarray, "3"]:
         """Position of the wrist."""
 
     def surface(self, joints: Float[np.ndarray, " n"]) -> Surface:
-        """The hand in a pose.
+        """Surface of the hand in a pose.
 
         Args:
             joints: (n,) all joint positions, in the order of the hand's ``joint_names`` [rad].
@@ -82,7 +81,7 @@ class HandShape(Protocol):
 
 
 class SkeletonShape:
-    """A robot hand drawn as rods between its landmarks; works for any model.
+    """A robot hand that is drawn as rods between its landmarks, which works for any model.
 
     Args:
         hand: the robot hand.
@@ -94,7 +93,7 @@ class SkeletonShape:
         self.wrist = np.asarray(hand.wrist, float)
 
     def surface(self, joints: Float[np.ndarray, " n"]) -> Surface:
-        """Returns the rods in a pose."""
+        """Returns the surface of the rods in a pose."""
         points = np.full((NUM_LANDMARKS, 3), np.nan)
         at = [LANDMARKS.index(name) for name in self._hand.tree.names]
         points[at] = self._hand.tree.positions(np.asarray(joints, float)[None])[0]
@@ -102,8 +101,8 @@ class SkeletonShape:
 
 
 def landmark_surface(points: Float[np.ndarray, "21 3"]) -> Surface:
-    """Makes the surface of a hand: rods along the fingers, and a palm between wrist and finger
-    bases.
+    """Makes the surface of a hand from landmarks: rods along the fingers, and a palm between the
+    wrist and the finger bases.
 
     Args:
         points: (21, 3) landmarks [m]; NaN for a missing one.
@@ -167,7 +166,7 @@ def paint(
     half: float,
     size: int,
 ) -> UInt8[np.ndarray, "S S 3"]:
-    """Draws a square parallel projection of a surface on white, with outlines.
+    """Draws a surface on white as a square parallel projection with outlines.
 
     Args:
         view: rows right, up and toward the viewer.

@@ -1,4 +1,4 @@
-"""HTML of reports: elements, plots, and the page, which is one file without external files."""
+"""Makes the HTML of reports: elements, plots and the page, which needs no other files."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ Html = NewType("Html", str)
 
 
 def escape(text: object) -> Html:
-    """Escape text for an element or a quoted attribute."""
+    """Escapes text for an element or a quoted attribute."""
     return Html(html.escape(str(text), quote=True))
 
 
 def element(tag: str, content: Html | str, **attributes: str) -> Html:
-    """``<tag attributes>content</tag>``; attributes are escaped, the content must be HTML.
+    """Makes ``<tag attributes>content</tag>``. Attributes are escaped; the content must be HTML.
 
     Write ``class_`` and ``for_`` for ``class`` and ``for``; other underscores become hyphens.
     """
@@ -45,17 +45,18 @@ def element(tag: str, content: Html | str, **attributes: str) -> Html:
 
 
 def paragraph(text: object, class_: str = "") -> Html:
-    """A paragraph of plain text."""
+    """Makes a paragraph of plain text."""
     return element("p", escape(text), **({"class_": class_} if class_ else {}))
 
 
 def join(parts: Iterable[Html | str]) -> Html:
-    """Joins parts of HTML."""
+    """Joins pieces of HTML."""
     return Html("\n".join(parts))
 
 
 def data(content: object) -> Html:
-    """JSON in a script element, escaped so that no text in it ends the element."""
+    """Makes a script element that contains JSON, escaped so that no text in it can end the
+    element."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -63,7 +64,7 @@ def data(content: object) -> Html:
 
 
 def figure(svg: str, caption: str, label: str) -> Html:
-    """An inline picture with its caption."""
+    """Makes an inline SVG picture with its caption."""
     picture = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1)
     return element("figure", Html(f"{picture}{element('figcaption', escape(caption))}"))
 
@@ -81,7 +82,7 @@ Section = tuple[str, str, Html]
 
 @cache
 def templates(package: str) -> Environment:
-    """Loads Jinja2 templates next to the modules of a package; inserted values are escaped.
+    """Loads the Jinja2 templates in the folder of a package; inserted values are escaped. Raises
     MissingExtraError if Jinja2 is not installed."""
     require("a report", "lab", "jinja2")
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -105,7 +106,7 @@ def write_report_page(
     scripts: Sequence[Traversable] = (),
     without_scripts: str = "",
 ) -> Path:
-    """Writes a report that needs no other file and nothing from the network.
+    """Writes a report that needs no other files and loads nothing from the network.
 
     Args:
         header: HTML above the sections, such as a heading.
@@ -136,7 +137,7 @@ def write_report_page(
 
 
 class Plots:
-    """The figures of a report, as files in a folder and as elements of the page.
+    """The figures of a report, stored as files in a folder and embedded in the page.
 
     Args:
         folder: the folder, which is created in an existing one if it is missing.
@@ -153,8 +154,7 @@ class Plots:
             raise output_error(folder, error) from error
 
     def element(self, drawn: Figure | None, stem: str, caption: str) -> Html:
-        """Returns the element of a figure with its caption, and writes ``STEM.png`` and
-        ``STEM.svg``.
+        """Returns the HTML of a figure with its caption, and writes ``STEM.png`` and ``STEM.svg``.
 
         The element is empty for None.
 
@@ -166,7 +166,7 @@ class Plots:
         return figure(write_figure(drawn, self.folder / plot_name(stem)), caption, caption)
 
     def picture(self, drawn: Image | None, stem: str, caption: str) -> Html:
-        """Returns the element of a picture with its caption, and writes ``STEM.webp``.
+        """Returns the HTML of a picture with its caption, and writes ``STEM.webp``.
 
         The element is empty for None.
 
@@ -185,7 +185,7 @@ class Plots:
 
 
 def plot_name(stem: str) -> str:
-    """Converts a stem to a valid file name, even if it contains the path of a hand."""
+    """Converts a plot's name, which may contain the path of a hand, to a valid file name."""
     return stem if re.fullmatch(r"[\w.-]+", stem) else file_name(stem, (stem,))
 
 

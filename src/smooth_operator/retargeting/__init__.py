@@ -1,4 +1,4 @@
-"""Retargeting: from the landmarks of a frame to a command, in one compiled program.
+"""Retargeting: computes a command from the landmarks of a frame, in one compiled program.
 
 A frame passes these modules, in this order: ``retargeter`` takes it, ``program`` checks it and
 holds the state, ``alignment`` aligns it to the palm, ``pinch_gaps``, ``fingertip_filter`` and

@@ -1,4 +1,4 @@
-"""Alignment of a whole recording, and estimation of an operator's scale."""
+"""Aligns a whole recording, and estimates an operator's scale."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def align_recording(
 
 
 def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
-    """Estimates the scale of an operator: the median of the per-frame estimates; RecordingError if
-    no frame has a usable palm."""
+    """Estimates the scale of an operator, which is the median of the estimates of all frames.
+    Raises RecordingError if no frame has a usable palm."""
     valid = np.all(_validity(recording)[:, list(hand.align_indices)], axis=1)
     if valid.any():
         fit = palm_alignment(recording.landmarks[valid], hand)

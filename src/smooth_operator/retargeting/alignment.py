@@ -39,23 +39,24 @@ class AlignmentConfig:
 def palm_alignment(
     landmarks: AnyKind, hand: Hand, config: AlignmentConfig = AlignmentConfig()
 ) -> Similarity[AnyKind]:
-    """Similarity transform from (..., 21, 3) human landmarks [m] to the robot's palm; NumPy or JAX.
-    A ``condition`` below ``MIN_CONDITION`` means a degenerate palm."""
+    """Computes the similarity transform from (..., 21, 3) human landmarks [m] to the robot's palm;
+    NumPy or JAX. A ``condition`` below ``MIN_CONDITION`` means that the palm is degenerate."""
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
     return umeyama(source, np.broadcast_to(target, source.shape), config.scale)
 
 
 def palm_range(hand: Hand) -> tuple[float, float]:
-    """Plausible range [m] of the distance from wrist to middle MCP in a frame: it covers people and
-    the robot's own palm, with a margin of a quarter for the scatter of single frames."""
+    """Plausible range [m] of the distance from the wrist to the middle MCP in a frame. It covers
+    human hands and the robot's own palm, with a margin of a quarter for the scatter of single
+    frames."""
     knuckles = reference_landmarks(hand)[list(BASES[1:])] - hand.wrist
     own = float(np.linalg.norm(knuckles, axis=1).max())
     return 0.8 * min(PALM_RANGE_M[0], own), 1.25 * max(PALM_RANGE_M[1], own)
 
 
 def reference_landmarks(hand: Hand) -> Float[np.ndarray, "21 3"]:
-    """Valid placeholder landmarks: those of the robot at its neutral pose [m].
+    """Valid placeholder landmarks: those of the robot in its neutral pose [m].
 
     They replace the landmarks of a frame that can't be used, so that all arithmetic stays finite.
     Fingers that the robot lacks are placed at its wrist.

@@ -1,4 +1,4 @@
-"""Many recordings in one compiled program: parallel lanes, and frame after frame in time.
+"""Retargets many recordings in one compiled program, in parallel lanes of one frame after another.
 
 The program of one frame is small: the call and its many short operations take longer than its
 arithmetic. Here each operation covers all lanes (``jax.vmap``), and one call processes a block of
@@ -57,7 +57,7 @@ Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 
 
 def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
-    """Frame times for the program (see ``tick_after``), from (..., T) timestamps [s]."""
+    """Converts (..., T) timestamps [s] to frame times for the program (see ``tick_after``)."""
     whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
     passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
     ticks = whole[..., :1] + np.cumsum(np.clip(passed, -1, LONGEST_TICKS), axis=-1)
@@ -66,7 +66,7 @@ def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Input of the program: the frames of all recordings, one recording after the other.
+    """Input of the program: the frames of all recordings, one recording after another.
 
     Attributes:
         landmarks: (S, 21, 3) float32 [m].
@@ -141,7 +141,8 @@ def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
 
 
 class LaneProgram:
-    """The program of one method and hand for a number of lanes. The first call compiles it.
+    """Compiled program for one method, one hand and a number of lanes. It is compiled at its first
+    call.
 
     Args:
         method: a method that is one compiled program.
@@ -214,8 +215,9 @@ class LaneProgram:
     def run(
         self, initial: RetargetState, tracks: Tracks, track: Progress | None = None
     ) -> tuple[Float[np.ndarray, "S m"], np.ndarray, Float[np.ndarray, " S"]]:
-        """Returns commands of the actuated joints [rad], not clipped to the limits, ``Status``
-        values and tracking losses of all frames. Each recording starts from the same state."""
+        """Returns, for all frames, commands of the actuated joints [rad] that are not clipped to
+        the limits, ``Status`` values and tracking losses. Each recording starts from the same
+        state."""
         total = len(tracks.ticks)
         # the last row takes the results of lanes without a recording
         q = np.empty((total + 1, len(initial.trees.q)), np.float32)
@@ -276,8 +278,8 @@ class LaneProgram:
         limits: Float[np.ndarray, "m 2"],
         prepared: Callable[[np.ndarray], np.ndarray],
     ) -> BatchArrays:
-        """See ``BatchRetargeter.batch_arrays``; ``prepared`` converts landmarks to the program's
-        form."""
+        """Does the work of ``BatchRetargeter.batch_arrays``; ``prepared`` converts landmarks to the
+        program's form."""
         count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
         if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
             raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
@@ -350,7 +352,8 @@ def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def lane_counts(method: Method, lanes: int | None) -> tuple[int, int]:
-    """Returns the numbers of lanes and of parallel calls; for None, those that suit the device."""
+    """Returns the number of lanes and the number of parallel calls. If ``lanes`` is None, they suit
+    the device."""
     if jax.default_backend() != "cpu":
         return lanes or LANES_GPU, 1
     if method.uneven:
@@ -371,7 +374,8 @@ class BatchRetargeter(Retargeter):
         track: Progress | None = None,
         lanes: int | None = None,
     ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-        """Retargets recordings of any length in parallel in one program, each from a fresh state.
+        """Retargets recordings of any length in parallel in one program, each starting from a fresh
+        state.
 
         A result equals that of ``run`` except for rounding and for latencies, which are NaN. It
         does not depend on the other recordings. Methods with a solver on the host run in turn.
@@ -420,7 +424,8 @@ class BatchRetargeter(Retargeter):
         seed: int | None = None,
         lanes: int | None = None,
     ) -> BatchArrays:
-        """Retargets recordings in one array: like ``batch``, without creating objects.
+        """Retargets recordings that are stored in one array. Works like ``batch``, without creating
+        objects.
 
         On a GPU, ``batch`` spends half of its time on objects. Unknown landmarks are NaN, and so
         are the missing frames at the end of shorter recordings.

@@ -24,16 +24,18 @@ Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
 
 
 class ProgramCache(Protocol):
-    """Keeps traced programs for other processes, such as ``ProgramStore``; hashable."""
+    """Stores traced programs for other processes, as ``ProgramStore`` does; hashable."""
 
     def traced(
         self, program: CompiledProgram, signature: Signature, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
-        """Returns the program's function, or one with the same results that is traced already."""
+        """Returns the program's function, or an already traced function that gives the same
+        results."""
 
 
 class CompiledProgram:
-    """A function of pytrees of arrays that is compiled at its first call with each shape.
+    """A function of pytrees of arrays that is compiled at its first call with arguments of a given
+    shape.
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.

@@ -74,7 +74,7 @@ class CorrespondenceConfig:
 
 
 class CorrespondenceState(NamedTuple):
-    """The operator's fingers on the robot's scale, and the last fingertip targets.
+    """Lengths of the operator's fingers, scaled to the robot, and the last fingertip targets.
 
     Attributes:
         bases: (F, 3) bases of the human's fingers in the palm frame [m].
@@ -89,7 +89,7 @@ class CorrespondenceState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Correspondence:
-    """Fingertip correspondence for one robot hand.
+    """Computes fingertip targets for one robot hand.
 
     Attributes:
         hand: the robot hand.
@@ -101,7 +101,7 @@ class Correspondence:
 
     @cached_property
     def robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
-        """Base positions (straight pose) and lengths of the robot's fingers [m].
+        """Base positions (in the straight pose) and lengths of the robot's fingers [m].
 
         The length of a long finger is measured when it is straight. A thumb is hardly ever
         straight, so its length is the sum of its bones, averaged over random poses.
@@ -133,8 +133,8 @@ class Correspondence:
         measured: Float[Array, "F 3"],
         clock: FrameClock,
     ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
-        """Returns the state after a frame and the (F, 3) steps of the fingertip targets in it [m],
-        in the direction of ``steps``. Traceable.
+        """Returns the state after a frame, and the (F, 3) steps by which the fingertip targets move
+        in that frame [m], in the direction of ``steps``. Traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN if unknown.

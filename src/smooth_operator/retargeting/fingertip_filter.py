@@ -1,4 +1,4 @@
-"""Fingertip filter: removes shake at rest and adds no delay to motion.
+"""Filters fingertips: removes shake at rest and adds no delay to motion.
 
 While a point stays within a few shake amplitudes of the filtered point, only a fraction of its
 *step* is followed at once and the rest within seconds. The fraction grows with the distance, up to
@@ -75,7 +75,7 @@ class FilterState(NamedTuple):
 
     @classmethod
     def unseen(cls, count: int) -> FilterState:
-        """State before the first frame."""
+        """Returns the state before the first frame."""
         zero, means = (np.zeros((*more, count, 3), np.float32) for more in ((), (ORDER,)))
         return cls(*jax.device_put((zero, zero, means, np.float32(SHAKE_AT_FIRST))))
 
@@ -86,9 +86,9 @@ def filter_fingertips(
     config: FingertipFilterConfig,
     clock: FrameClock,
 ) -> tuple[FilterState, Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Returns the state after a frame of (n, 3) measured points [m], and the (n, 3) steps in it of
-    the filtered points and of the measured points without jumps [m]. If the last frame is too old
-    to be used, the steps are 0, and the measured shake is kept."""
+    """Returns the state after a frame of (n, 3) measured points [m], and the (n, 3) steps [m] by
+    which the filtered points, and the measured points without jumps, moved in that frame. If the
+    last frame is too old to be used, the steps are 0, and the measured shake is kept."""
     dt, restart = clock
     start = jnp.where(restart, measured, before.points)
     followed = jnp.where(restart, measured, before.followed)

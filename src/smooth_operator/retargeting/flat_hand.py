@@ -1,4 +1,4 @@
-"""A flat human hand."""
+"""Landmarks of a flat human hand."""
 
 from __future__ import annotations
 
@@ -42,5 +42,5 @@ It is the hand of the built-in operator, ``pose_hand(draw_anatomy(0.19, 0), zero
 
 
 def flat_hand(side: Side) -> Float[np.ndarray, "21 3"]:
-    """Landmarks of a flat hand of a side [m]; those of a left hand are mirrored."""
+    """Landmarks of a flat hand of a given side [m]; those of a left hand are mirrored."""
     return FLAT_HAND * (1.0, 1.0 if side == "right" else -1.0, 1.0)

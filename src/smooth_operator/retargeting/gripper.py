@@ -1,5 +1,5 @@
-"""Targets of a gripper's jaws: open when the human's thumb and index finger are the length of the
-index finger apart, and closed when they touch."""
+"""Targets of a gripper's jaws. The jaws are fully open when the human's thumb and index fingertips
+are as far apart as the index finger is long, and closed when they touch."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Jaws:
     def places(
         self, length: Float[Array, ""], tips: Float[Array, "2 3"], press: float
     ) -> tuple[Float[Array, "2 3"], Float[Array, " 2"]]:
-        """Targets of the tips, and gains of the opening; traceable.
+        """Computes the targets of the jaw tips, and the gains of the opening; traceable.
 
         With the human's distance d of thumb and index finger ``tips`` and the ``length`` l of the
         index finger [m], the opening is w_min + (w_max - w_min) (d - press) / (l - press), within

@@ -1,4 +1,4 @@
-"""Known gaps that trackers leave between thumb and finger when they touch.
+"""Known distances that trackers report between thumb and finger when the two touch.
 
 They are separate from their estimation (``pinch_gaps.py``), which needs JAX.
 """
@@ -22,13 +22,13 @@ one person, each tracked while it is moved and zoomed a little."""
 
 
 def known_gaps(name: str | None) -> Mapping[str, float]:
-    """Known pinch gaps of a simulated tracker: for a camera, those of a webcam, which were measured
-    on another person than those of the simulation."""
+    """Known pinch gaps of a simulated tracker. For a camera, they are those of a webcam, measured
+    on a different person from the one that the simulation imitates."""
     return MEDIAPIPE if name == "camera" else NO_GAPS
 
 
 def check_gaps(gaps: Mapping[str, float]) -> None:
-    """Check known gaps, a mapping from finger to gap [palm lengths].
+    """Checks known gaps, which are a mapping from finger to gap [palm lengths].
 
     Raises:
         UnknownNameError: a finger has no such name, or is the thumb.

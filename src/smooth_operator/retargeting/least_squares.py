@@ -12,16 +12,18 @@ from smooth_operator.retargeting.objective import FrameGoal, PointTerm, Quadrati
 
 
 class LeastSquaresTerm(PointTerm):
-    """Half the sum of squared residuals of some points; the simplest kind of term to write."""
+    """Cost term that is half the sum of squared residuals of some points; the simplest kind of term
+    to write."""
 
     @abstractmethod
     def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
-        """(R,) residuals at one pose, each times the square root of its weight."""
+        """Returns (R,) residuals at one pose, each multiplied by the square root of its weight."""
 
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``; the derivatives of the residuals come from JAX."""
+        """Returns cost and derivatives, as ``PointTerm.expand`` does; JAX differentiates the
+        residuals."""
         residuals, pull = jax.vjp(lambda p: self.residuals(p, goal), points)
 
         def along(speeds: Array) -> Array:

@@ -40,7 +40,7 @@ class MethodOutput(NamedTuple):
 
 
 class Method(ABC):
-    """A retargeting method for one hand: a compiled step with explicit state.
+    """A retargeting method for one hand: a compiled step function with explicit state.
 
     Immutable: everything that changes from frame to frame is in the state. Subclasses have an
     attribute ``hand``, the robot hand.
@@ -63,8 +63,8 @@ class Method(ABC):
 
     @abstractmethod
     def init(self, seed: int) -> Any:
-        """The state before the first frame: a pytree of arrays without None leaves. The seed is
-        that of the random numbers."""
+        """Returns the state before the first frame, a pytree of arrays without None leaves. The
+        seed is that of the random numbers."""
 
     @abstractmethod
     def step(
@@ -84,8 +84,8 @@ class Method(ABC):
 
     @property
     def constants(self) -> Any:
-        """Pytree of further arrays in the program, such as weights from a file; None if it has
-        none, or they are unknown."""
+        """Pytree of additional arrays that the program uses, such as weights from a file; None if
+        there are none, or if they are unknown."""
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
@@ -94,13 +94,14 @@ class Method(ABC):
         return None
 
     def pinch_gaps(self, state: Any) -> Float[Array, " P"] | None:
-        """(F - 1,) estimated gaps of touching thumb and finger [palm lengths], 0 while unknown;
-        None for a method that does not close gaps."""
+        """(F - 1,) estimated gaps between a touching thumb and finger [palm lengths], 0 while
+        unknown; None for a method that does not close gaps."""
         del state
         return None
 
     def with_pinch_gaps(self, state: Any, known: Mapping[str, float] | None) -> Any:
-        """Returns a state with known pinch gaps, by finger [palm lengths]; None closes no gaps."""
+        """Returns a state with known pinch gaps, given by finger [palm lengths]. With None, no gaps
+        are closed."""
         del known
         return state
 
@@ -110,18 +111,21 @@ class Method(ABC):
         return fresh
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
-        """(F, 3) fingertip targets of the last frame in the palm frame [m], if there are any."""
+        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None for a method
+        without targets."""
         del state
         return None
 
     @property
     def trajectory_objective(self) -> Objective | None:
-        """Cost of each frame in trajectory optimisation; None without one with derivatives."""
+        """Cost of each frame for trajectory optimisation; None if the method has no differentiable
+        cost."""
         return None
 
 
 class MethodConfig(ABC):
-    """Settings of a method. Subclasses are frozen dataclasses with a field ``alignment``."""
+    """Base class of the settings of a method. Subclasses are frozen dataclasses with a field
+    ``alignment``."""
 
     alignment: AlignmentConfig
     """Alignment of landmarks to the palm frame."""
@@ -135,12 +139,14 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """True if compiled programs run faster on one thread than on one thread per core."""
+        """True if the method's compiled programs run faster on one thread than with one thread per
+        core."""
         return True
 
     @abstractmethod
     def build(self, hand: Hand) -> Method:
-        """The method for one hand; SmoothOperatorError if it can't be used with the hand."""
+        """Builds the method for one hand. Raises SmoothOperatorError if it can't be used with the
+        hand."""
 
     def with_alignment(self: C, **changes: Any) -> C:
         """Returns these settings with some fields of ``AlignmentConfig`` replaced; ConfigError if a
@@ -150,18 +156,20 @@ class MethodConfig(ABC):
         return cast(C, dataclasses.replace(changed, alignment=alignment))
 
     def with_file(self: C, path: Path) -> C | None:
-        """Returns these settings with a file such as a trained model; None if they use no file."""
+        """Returns these settings with another file, such as a trained model; None if they use no
+        file."""
         del path
         return None
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
-        """Human-readable notes on what the method lacks for a hand; empty for most hands."""
+        """Human-readable notes on what a hand lacks for the method; empty for most hands."""
         del hand
         return ()
 
 
 class ObjectiveMethodConfig(MethodConfig):
-    """Settings of a method that minimises Eq. (1); they have a field ``objective``."""
+    """Settings of a method that minimises the objective in the Smooth Operator paper, Eq. (1); they
+    have a field ``objective``."""
 
     objective: TermsConfig
     """Targets and weights of Eq. (1)."""

@@ -1,4 +1,4 @@
-"""The objective of a frame: the sum of its terms, costs on points and joints of the robot.
+"""The objective of a frame, which is a sum of cost terms on points and joints of the robot.
 
 To write your own term, define a frozen dataclass with its settings, derived from
 ``LeastSquaresTerm`` (only residuals), ``VectorTerm`` (keyvectors), ``JointTerm`` (joint positions)
@@ -48,7 +48,7 @@ terms divide their weights by it, so that all weights are comparable."""
 
 
 class FrameGoal(NamedTuple):
-    """Targets and weights of one frame.
+    """Target vectors and weights of one frame.
 
     Attributes:
         vectors: (K, 3) keyvector targets [m].
@@ -71,8 +71,8 @@ class FrameGoal(NamedTuple):
 
 
 class Quadratic(NamedTuple):
-    """Local model of a term near one pose; its Hessian is rows^T weights rows and the curvature of
-    the kinematics along the gradient.
+    """Quadratic model of a term near one pose. Its Hessian is rows^T weights rows plus the
+    curvature of the kinematics along the gradient.
 
     Attributes:
         cost: cost at the pose.
@@ -92,8 +92,8 @@ class Term:
     """Base class of the terms of an objective."""
 
     def build(self, hand: Hand) -> Self:
-        """Returns the term for one hand; the term itself if it does not depend on the hand.
-        ConfigError if the hand lacks what the term needs."""
+        """Returns the term for one hand, or the term itself if it does not depend on the hand.
+        Raises ConfigError if the hand lacks what the term needs."""
         del hand
         return self
 
@@ -104,27 +104,27 @@ class Term:
 
 
 class PointTerm(Term, ABC):
-    """A cost on the positions of points of the robot in the palm frame."""
+    """Cost term on the positions of some of the robot's points in the palm frame."""
 
     @abstractmethod
     def points(self) -> tuple[str, ...]:
         """Names of the P points: landmarks of the hand, or points of ``own_points``."""
 
     def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
-        """Further points: maps names to (body of the model, (3,) position in it [m])."""
+        """Additional points: maps names to (body of the model, (3,) position in it [m])."""
         return {}
 
     @abstractmethod
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """Cost, gradient and Gauss-Newton rows at (P, 3) points [m] with (P, J, 3) derivatives by
-        the J joints [m/rad]; traceable."""
+        """Returns cost, gradient and Gauss-Newton rows at (P, 3) points [m], given their (P, J, 3)
+        derivatives with respect to the J joints [m/rad]; traceable."""
 
 
 class Derivatives(NamedTuple):
-    """A separable cost of some variables, with its derivatives: of m joints at given poses, or of K
-    vectors.
+    """A separable cost of some variables and its derivatives. The variables are m joints in given
+    poses, or K vectors.
 
     Attributes:
         cost: (...) sum over the variables.
@@ -139,16 +139,16 @@ class Derivatives(NamedTuple):
 
 
 class JointTerm(Term, ABC):
-    """A separable cost on the m actuated joints."""
+    """Separable cost term on the m actuated joints."""
 
     @abstractmethod
     def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
-        """Cost and derivatives at joint positions [rad]; NumPy or JAX."""
+        """Returns cost and derivatives at joint positions [rad]; NumPy or JAX."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pull(JointTerm):
-    """Weight times the squared distance of each joint from a pose.
+    """Cost term: a weight times the squared distance of each joint from a pose.
 
     Attributes:
         of: function from a goal to a weight (or (m,) weights) and a (m,) pose [rad].
@@ -157,7 +157,7 @@ class Pull(JointTerm):
     of: Callable[[FrameGoal], tuple[Any, Any]]
 
     def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
-        """See ``JointTerm``."""
+        """Returns cost and derivatives, as ``JointTerm.expand`` does."""
         weight, pose = self.of(goal)
         off = q - pose.astype(q.dtype, copy=False)
         return Derivatives((weight * off**2).sum(axis=-1), 2 * weight * off, 2 * weight)
@@ -165,7 +165,7 @@ class Pull(JointTerm):
 
 @dataclass(frozen=True, eq=False)
 class VectorTerm(PointTerm):
-    """A separable cost on the errors of some of the robot's vectors.
+    """Separable cost term on the errors of some of the robot's vectors.
 
     Attributes:
         layout: landmarks that each vector joins; the hand has counterparts of them all.
@@ -178,7 +178,7 @@ class VectorTerm(PointTerm):
 
     @abstractmethod
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
-        """Cost of the errors of ``part`` [m], with derivatives; traceable."""
+        """Returns the cost of the errors of ``part`` [m], with derivatives; traceable."""
 
     def points(self) -> tuple[str, ...]:
         """Landmarks that the vectors join."""
@@ -186,7 +186,8 @@ class VectorTerm(PointTerm):
 
     @cached_property
     def which(self) -> slice:
-        """The vectors of ``part``; ConfigError if they are not the paper's keyvectors."""
+        """The vectors of ``part``. Raises ConfigError if they are not the keyvectors of the Smooth
+        Operator paper."""
         if self.part == "all":
             return slice(None)
         if not isinstance(self.layout, KeyvectorLayout):
@@ -199,7 +200,7 @@ class VectorTerm(PointTerm):
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``."""
+        """Returns cost and derivatives, as ``PointTerm.expand`` does."""
         which, among = self.which, self.layout.among
         cost, first, second = self.slopes((among(points) - goal.vectors)[which], goal)
         along = among(jacobian.reshape(len(points), -1))  # in this order XLA's loops are fast
@@ -214,7 +215,8 @@ class VectorTerm(PointTerm):
 
 @dataclass(frozen=True, eq=False)
 class Keyvectors(VectorTerm):
-    """First term of Eq. (1): sum over k of lambda_k smooth-L1(v_R - v_H), by components.
+    """First term of Eq. (1) in the Smooth Operator paper: the sum over k of lambda_k smooth-L1(v_R
+    - v_H), component by component.
 
     Attributes:
         transition: error at which smooth-L1 changes from quadratic to linear [m].
@@ -228,15 +230,16 @@ class Keyvectors(VectorTerm):
         return weight * (x + y + z)
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
-        """See ``VectorTerm``; exact except at the kinks of smooth-L1."""
+        """Returns costs and derivatives, as ``VectorTerm.slopes`` does; exact except at the kinks
+        of smooth-L1."""
         weights = jnp.asarray(goal.weights)[:, None]
         cost, first, second = smooth_l1(errors, self.transition)
         return Derivatives((weights * cost).sum(), weights * first, weights * second)
 
 
 def smooth_l1(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind, AnyKind]:
-    """x^2 / (2 transition) up to the transition and |x| - transition / 2 beyond, with its first and
-    second derivative; NumPy or JAX."""
+    """Smooth-L1, which is x^2 / (2 transition) up to the transition and |x| - transition / 2
+    beyond, with first and second derivatives; NumPy or JAX."""
     size = abs(x)
     near = size.clip(max=transition)
     cost: AnyKind = near * (size - 0.5 * near) * (1 / transition)
@@ -245,7 +248,8 @@ def smooth_l1(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind, AnyKind]
 
 @dataclass(frozen=True)
 class TermsConfig:
-    """Settings of the objective of ``smooth``; ``ObjectiveConfig`` has all settings of Eq. (1).
+    """Settings of the objective of ``smooth``. ``ObjectiveConfig`` has all settings of Eq. (1) in
+    the Smooth Operator paper.
 
     Attributes:
         targets: the target policy.
@@ -261,18 +265,19 @@ class TermsConfig:
         check_numbers(self)
 
     def keyvectors(self, layout: VectorLayout) -> Keyvectors:
-        """First term of Eq. (1)."""
+        """Builds the keyvector term, the first term of the paper's Eq. (1)."""
         return Keyvectors(layout, TRANSITION)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
-        """Second and third term of Eq. (1), for a hand with this neutral pose [rad]."""
+        """Builds the pull to this neutral pose [rad] and the velocity term, the second and third
+        terms of the paper's Eq. (1)."""
         pose = Pull(lambda _: (self.pose_weight, neutral))
         return pose, Pull(lambda goal: (goal.velocity_weight, goal.previous))
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Eq. (1) and additional terms, for one hand.
+    """Objective for one hand: Eq. (1) of the Smooth Operator paper, and additional terms.
 
     Attributes:
         hand: the robot hand.
@@ -286,7 +291,8 @@ class Objective:
 
     @cached_property
     def layout(self) -> VectorLayout:
-        """Vectors that the target policy uses; ConfigError if the hand lacks one's points."""
+        """Vectors that the target policy uses. Raises ConfigError if the hand lacks a point of one
+        of them."""
         layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
         keypoints = self.hand.tree.keypoints
         lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in keypoints]
@@ -301,17 +307,19 @@ class Objective:
 
     @cached_property
     def keyvectors(self) -> Keyvectors:
-        """First term of Eq. (1)."""
+        """The keyvector term, the first term of the paper's Eq. (1)."""
         return self.config.keyvectors(self.layout)
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
-        """Terms on the positions of points: keyvectors, then those of the method and the preset."""
+        """Terms on the positions of points: keyvectors, then terms that the method and the preset
+        add."""
         return (self.keyvectors, *(one for one in self._own if isinstance(one, PointTerm)))
 
     @cached_property
     def joint_terms(self) -> tuple[JointTerm, ...]:
-        """Terms on joints: neutral pose, velocity, then those of the method and the preset."""
+        """Terms on joints: neutral pose and velocity, then terms that the method and the preset
+        add."""
         pulls = self.config.pulls(self.hand.neutral)
         return (*pulls, *(one for one in self._own if isinstance(one, JointTerm)))
 
@@ -321,13 +329,14 @@ class Objective:
         return tuple(term for term in terms if not term.is_off)
 
     def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
-        """Sum of the terms on joints at (..., m) actuated joint positions [rad]; NumPy or JAX."""
+        """Sum of the terms on joints, at (..., m) positions of the actuated joints [rad]; NumPy or
+        JAX."""
         every = zip(*(term.expand(q, goal) for term in self.joint_terms), strict=True)
         return Derivatives(*(functools.reduce(operator.add, parts) for parts in every))
 
     @cached_property
     def tree(self) -> KinematicTree:
-        """Kinematics of the landmarks of the hand and of the points that terms add."""
+        """Kinematics of the hand's landmarks and of the points that terms add."""
         own = {k: v for term in self.point_terms for k, v in term.own_points().items()}
         return tree_with(self.hand, own) if own else self.hand.tree
 
@@ -340,13 +349,14 @@ class Objective:
 
     @cached_property
     def kinematics(self) -> PointKinematics:
-        """Kinematics of the points of all terms. A point of several terms may occur twice."""
+        """Kinematics of the points of all terms. A point that several terms use may occur twice."""
         return PointKinematics(self.tree, sum(self._groups, ()))
 
     @cached_property
     def value_grad_hess(self) -> Callable[[Array, FrameGoal], tuple[Array, Array, Array]]:
-        """Value, gradient (m,) and Hessian (m, m) at a pose (m,), summed over the terms. Those of
-        Eq. (1) are exact, except at the kinks of smooth-L1. A program traces the function once."""
+        """Function that returns the value, the (m,) gradient and the (m, m) Hessian at an (m,)
+        pose, summed over the terms. The derivatives of Eq. (1) are exact, except at the kinks of
+        smooth-L1. A program traces the function once."""
         return jax.jit(self._expand)
 
     def _expand(self, q: Array, goal: FrameGoal) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Axes of a palm, and axes of a human palm that is aligned to a robot's palm."""
+"""Axes of a palm, and axes of a human palm that was aligned to a robot's palm."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class PalmAxes(NamedTuple, Generic[_Held]):
 
 
 def palm_axes(landmarks: AnyKind, side: Literal["right", "left"]) -> PalmAxes[AnyKind]:
-    """Directions of a palm. Distal points from wrist to middle MCP; palmar is perpendicular to it
-    and to the line between the index and pinky MCPs.
+    """Computes the directions of a palm. Distal points from wrist to middle MCP; palmar is
+    perpendicular to it and to the line between the index and pinky MCPs.
 
     Args:
         landmarks: (..., 21, 3) [m].

@@ -1,4 +1,5 @@
-"""Estimates and closes, during use, the gaps that a tracker reports when thumb and finger touch.
+"""Estimates, during use, the gaps that a tracker reports when thumb and finger touch, and closes
+them.
 
 The hand model of a camera tracker keeps touching fingertips centimetres apart. The gap differs
 between fingers but is similar for all people. Contact can't be measured directly, but a thumb that
@@ -45,7 +46,7 @@ _TINY: Final = 1e-18
 
 
 class PinchGapState(NamedTuple):
-    """State of the estimate; all distances between thumb and finger in palm lengths.
+    """State of the estimate; all thumb-to-finger distances are in palm lengths.
 
     Attributes:
         level: (P,) distance that each finger keeps from the thumb.
@@ -65,7 +66,8 @@ class PinchGapState(NamedTuple):
 
     @classmethod
     def of(cls, fingers: tuple[str, ...], known: Mapping[str, float] | None) -> PinchGapState:
-        """State before the first frame, for the fingers of a hand, thumb first; see ``check_gaps``.
+        """Returns the state before the first frame, for the fingers of a hand, thumb first; see
+        ``check_gaps``.
 
         Args:
             known: known gaps of the tracker or the operator, by finger; None closes no gaps.
@@ -79,13 +81,13 @@ class PinchGapState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PinchGapEstimate:
-    """Estimator of pinch gaps for one robot hand, on landmarks in its palm frame."""
+    """Estimates pinch gaps for one robot hand, from landmarks in its palm frame."""
 
     hand: Hand
 
     @cached_property
     def palm(self) -> float:
-        """Length of a human palm, wrist to middle knuckle, in the robot's palm frame [m]."""
+        """Length of a human palm, from wrist to middle knuckle, in the robot's palm frame [m]."""
         flat = flat_hand(self.hand.spec.side)
         scale = float(palm_alignment(flat, self.hand).scale)
         return scale * float(np.linalg.norm(flat[BASES[2]] - flat[0]))
@@ -93,7 +95,8 @@ class PinchGapEstimate:
     def step(
         self, state: PinchGapState, aligned: Float[Array, "21 3"], clock: FrameClock
     ) -> tuple[PinchGapState, Float[Array, "21 3"]]:
-        """Returns the state after a frame and its landmarks with closed pinches; traceable.
+        """Returns the state after a frame, and the frame's landmarks with pinches closed;
+        traceable.
 
         A distance d is shortened by the fraction s min(1, g' / d)^p, where the largest distance of
         a contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. It falls

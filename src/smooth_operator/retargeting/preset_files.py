@@ -1,4 +1,5 @@
-"""Access to settings of a method by name, such as ``objective.pose_weight``, and preset files.
+"""Reads and changes settings of a method by name, such as ``objective.pose_weight``, and reads
+preset files.
 
 A preset file is a preset of a method with some of its numbers changed, as a small TOML file::
 
@@ -37,7 +38,7 @@ MOST_SEED: Final = (1 << 32) - 1
 
 
 def numeric_settings(config: object) -> dict[str, float | int]:
-    """All numbers of a configuration, by path: names of fields separated by dots.
+    """All numbers in a configuration by path, which is the names of the fields joined by dots.
 
     Args:
         config: a dataclass, with dataclasses in its fields. Dataclasses in a tuple are named by
@@ -152,7 +153,7 @@ SUFFIX: Final = ".toml"
 
 
 def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
-    """Configuration of a method, by the name of a preset or by a preset file.
+    """Configuration of a method, given by the name of a preset or by a preset file.
 
     Args:
         method: name of the method, or ``package.module:attribute``: a configuration, its class, or

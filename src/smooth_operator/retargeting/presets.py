@@ -1,4 +1,4 @@
-"""Look-up of methods and their presets. The presets are defined next to their methods."""
+"""Looks up methods and their presets. The presets are defined next to their methods."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _ALIASES: Final = {"sbr": {"published": "paper"}}
 
 
 def method_names() -> tuple[str, ...]:
-    """Names of the methods, built-in and of plugins."""
+    """Names of the methods, both built-in and from plugins."""
     return tuple(METHODS)
 
 
@@ -73,12 +73,12 @@ def live_presets() -> dict[str, list[str]]:
 
 
 def default_preset(method: str) -> str:
-    """Name of a method's default preset; errors as ``PRESETS``."""
+    """Name of a method's default preset. Raises the same errors as ``PRESETS``."""
     return next(iter(PRESETS[method]))
 
 
 def preset_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
-    """Configuration of a method by the name of a preset; None gives the method's default preset.
+    """Configuration that a preset of a method has; for None, that of the method's default preset.
 
     ``published`` is a preset of keyvector, hybrid, dexpilot and ako; for sbr it means ``paper``.
     geort also accepts the path of a trained model, and ``method_config`` accepts preset files.

@@ -41,7 +41,7 @@ _WORDS: Final = tuple(map(np.dtype, ("float32", "int32", "uint32", "bool")))
 
 
 class FrameState(NamedTuple):
-    """The state as trees of arrays, for traceable functions.
+    """State of a retargeter as trees of arrays, for traceable functions.
 
     Attributes:
         method: state of the method.
@@ -54,7 +54,7 @@ class FrameState(NamedTuple):
 
 @dataclass(frozen=True)
 class StateLayout:
-    """Structure, shapes and kinds of the arrays of a ``FrameState``, in the order of its leaves.
+    """Structure, shapes and kinds of the arrays in a ``FrameState``, in the order of its leaves.
 
     Attributes:
         structure: JAX's structure of the tree.
@@ -68,13 +68,14 @@ class StateLayout:
 
     @classmethod
     def of(cls, state: FrameState) -> StateLayout:
-        """Layout of a state whose 32-bit arrays are joined into one."""
+        """Makes the layout of a state whose 32-bit arrays are packed into one array."""
         leaves, structure = jax.tree.flatten(state)
         kinds = tuple(getattr(leaf, "dtype", None) for leaf in leaves)
         return cls(structure, tuple(map(np.shape, leaves)), kinds)
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
-        """One array with the bits of all 32-bit leaves, and the other leaves; NumPy or JAX."""
+        """Packs the bits of all 32-bit leaves into one array; returns it and the other leaves.
+        NumPy or JAX."""
         leaves = [*zip(jax.tree.leaves(state), self.kinds, strict=True)]
         words = [(leaf, kind) for leaf, kind in leaves if kind in _WORDS]
         xp = array_namespace(*(leaf for leaf, _ in words))
@@ -85,7 +86,7 @@ class StateLayout:
     def unpack(
         self, words: Float[Array, " n"] | Float[np.ndarray, " n"], others: tuple[Any, ...]
     ) -> FrameState:
-        """Restores the state that ``pack`` joined; traceable."""
+        """Restores the state from the results of ``pack``; traceable."""
         leaves, rest, done = [], iter(others), 0
         for shape, kind in zip(self.shapes, self.kinds, strict=True):
             if kind is None or kind not in _WORDS:
@@ -126,7 +127,7 @@ class RetargetState:
 
     @cached_property
     def trees(self) -> FrameState:
-        """The state as trees of NumPy's arrays."""
+        """The state as trees of NumPy arrays."""
         return self.layout.unpack(np.asarray(self.words), self.others)
 
     @property
@@ -142,7 +143,7 @@ def _as(part: Any, kind: np.dtype) -> Any:
 
 
 class FrameResult(NamedTuple):
-    """The result of one frame, as the compiled program returns it.
+    """The result of one frame, in the form that the compiled program returns.
 
     Attributes:
         q: (m,) command of the actuated joints [rad]; the last good command unless the status is OK.
@@ -165,7 +166,7 @@ the frame's ticks (``tick_after``) to the next state and the result."""
 
 
 class AlignedFrame(NamedTuple):
-    """A frame in the palm frame. An unusable frame has reference landmarks instead.
+    """A frame, transformed to the palm frame. An unusable frame has reference landmarks instead.
 
     Attributes:
         aligned: (21, 3) landmarks in the palm frame [m]; NaN if unknown.
@@ -181,7 +182,7 @@ class AlignedFrame(NamedTuple):
 def align_frame(
     method: Method, alignment: AlignmentConfig, landmarks: Array, valid: Array
 ) -> AlignedFrame:
-    """Transforms landmarks to the palm frame. The arithmetic stays finite for any input."""
+    """Transforms landmarks to the palm frame. No input leads to values that are not finite."""
     hand = method.hand
     needs = np.array(sorted({*method.needs, *hand.align_indices}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
@@ -198,15 +199,15 @@ def align_frame(
 
 
 def packed_result(*parts: Array | np.ndarray | float) -> Array:
-    """The result, packed into one array, because reading several arrays costs more."""
+    """Packs the result of a frame into one array, because reading several arrays takes longer."""
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 
 def frame_program(
     method: Method, config: MethodConfig, cache: ProgramCache | None = None
 ) -> Program:
-    """Creates the program of one frame, which is traced, or read from a cache, and compiled at
-    its first call. ConfigError if the method's ``step`` takes other arguments."""
+    """Creates the program of one frame. It is compiled at its first call, after it was traced or
+    read from a cache. Raises ConfigError if the method's ``step`` takes other arguments."""
     compiling = functools.partial(
         CompiledProgram,
         hand=method.hand,
@@ -266,8 +267,9 @@ LONGEST_TICKS: Final = 2**31 - 1
 
 
 def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
-    """Time of a frame for the program: microseconds modulo 2^32, with exact differences, unlike
-    float32. A timestamp that is not finite counts as 0, a step back as -1 tick.
+    """Converts a timestamp to the program's time: microseconds modulo 2^32, whose differences are
+    exact, unlike those of float32. A timestamp that is not finite counts as 0, and a step back in
+    time as -1 tick.
 
     Args:
         answered: timestamp [s] and ticks of the last frame with a command; None for the first.
@@ -292,7 +294,7 @@ LONGEST_GAP: Final = 0.25
 
 
 class FrameClock(NamedTuple):
-    """Time since the last frame.
+    """Time since the last frame, and whether motion restarts with this frame.
 
     Attributes:
         dt: that time [s].
@@ -304,8 +306,8 @@ class FrameClock(NamedTuple):
 
     @classmethod
     def of(cls, passed: UInt32[Array, ""], frames: UInt32[Array, ""]) -> FrameClock:
-        """Time of a frame, from the ticks since the last one and the number of earlier frames;
-        traceable."""
+        """Makes the time of a frame from the ticks since the last frame and the number of earlier
+        frames; traceable."""
         elapsed = passed.astype(jnp.int32) * 1e-6
         # a timestamp that goes back belongs to another recording
         restart = (frames == 0) | (elapsed > LONGEST_GAP) | (elapsed < 0)

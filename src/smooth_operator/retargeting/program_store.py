@@ -1,4 +1,4 @@
-"""Folder of traced programs, so that later starts of a process are faster.
+"""Stores traced programs in a folder, so that later processes start faster.
 
 The traced program is stored with ``jax.export``. JAX's compilation cache stores machine code, if
 the process has enabled it, as the command does. A process that traces a program also runs its
@@ -63,7 +63,8 @@ _SETTINGS: Final = (
 
 @dataclass(frozen=True)
 class ProgramStore:
-    """Traced programs in a folder, for ``Retargeter(cache=...)``. An entry is complete or missing.
+    """Stores traced programs in a folder, for ``Retargeter(cache=...)``. An entry is complete or
+    missing, never partial.
 
     Attributes:
         folder: an existing folder to which no other user can write.
@@ -75,16 +76,16 @@ class ProgramStore:
 
     @classmethod
     def of_user(cls) -> ProgramStore | None:
-        """The store in this user's cache folder, which the command uses; None if it is disabled
-        (``SWITCH``) or has no safe folder."""
+        """The store in this user's cache folder, which the command uses. None if the cache is
+        disabled (``SWITCH``) or its folder is not safe."""
         folder = None if is_off() else own_folder(user_cache() / "programs")
         return None if folder is None else cls(folder)
 
     def traced(
         self, program: CompiledProgram, signature: Signature, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
-        """Returns the stored program, or traces and stores it; the function itself if it can't be
-        stored, because it depends on code or on a file of the user."""
+        """Returns the stored program, or traces and stores it. If the function depends on the
+        user's code or on a user's file, it can't be stored and is returned as it is."""
         config: Any = jax.config  # its attributes are made at run time
         key = None if config.jax_disable_jit else program_key(program)
         if key is not None:
@@ -116,7 +117,7 @@ class ProgramStore:
         return exported
 
     def read(self, name: str) -> bytes | None:
-        """Returns an entry; None if it is missing or damaged."""
+        """Returns the content of an entry; None if it is missing or damaged."""
         file = self.folder / name
         try:
             content = read_own_file(file, MOST_BYTES_OF_ONE)
@@ -134,8 +135,7 @@ class ProgramStore:
         return data
 
     def write(self, name: str, data: bytes) -> None:
-        """Writes an entry, and removes the entries that were not used for longest. Errors of the
-        disk are ignored."""
+        """Writes an entry, and removes the least recently used entries. Disk errors are ignored."""
         with contextlib.suppress(OSError):
             handle, unfinished = tempfile.mkstemp(dir=self.folder)
             try:

@@ -1,5 +1,5 @@
-"""Registry of the methods by name: ``sbr``, ``smooth`` and those of installed distributions, also
-the published methods in ``smooth_operator.baselines``. This module does not import JAX.
+"""Registry of the methods by name: ``sbr``, ``smooth``, the published methods in
+``smooth_operator.baselines``, and those of installed plugins. This module does not import JAX.
 
 A name refers to a mapping of preset names to configurations, of which the first is the default, or
 to one configuration, whose preset is called ``default``. A class refers to its default instance.

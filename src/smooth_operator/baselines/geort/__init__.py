@@ -1,1 +1,2 @@
-"""GeoRT (Yin et al., 2025): the network as a method, and its training in JAX on a CPU."""
+"""GeoRT (Yin et al., 2025): its network as a retargeting method, and the training of the network in
+JAX on a CPU."""

@@ -46,7 +46,7 @@ class GeortConfig(MethodConfig):
     model: Path | None = None
 
     def build(self, hand: Hand) -> Geort:
-        """The method for one hand; ConfigError if there is no model for it."""
+        """Builds the method for one hand. Raises ConfigError if there is no model for the hand."""
         path = built_in_model(hand.name) if self.model is None else Path(self.model)
         if path is None:
             names_built_in = ", ".join(
@@ -60,7 +60,7 @@ class GeortConfig(MethodConfig):
         return Geort(hand, self, model, model.mirrored_for(hand))
 
     def with_file(self, path: Path) -> GeortConfig:
-        """The configuration with another model."""
+        """Returns these settings with another model file."""
         return replace(self, model=path)
 
 
@@ -75,7 +75,7 @@ def _built_in() -> list[Path]:
 
 
 class GeortState(NamedTuple):
-    """Empty state: GeoRT is a map from fingertips to joints."""
+    """State of GeoRT, which is empty because GeoRT maps fingertips to joints without memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +97,13 @@ class Geort(Method):
 
     @cached_property
     def objective(self) -> SampledObjective:
-        """Eq. (1) without latches, which gives the tracking loss."""
+        """Objective of the Smooth Operator paper, Eq. (1), without latches; used only to compute
+        the tracking loss."""
         return SampledObjective(self.hand, ObjectiveConfig(targets=PlainTargets()))
 
     @property
     def needs(self) -> tuple[int, ...]:
-        """Fingertips, and the wrist for the tracking loss."""
+        """Indices of the fingertips, and of the wrist for the tracking loss."""
         return (WRIST, *tips_of(self.hand.fingers))
 
     @property
@@ -175,8 +176,9 @@ class Weights(NamedTuple):
 
 
 def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array, "F J *batch"]:
-    """Outputs of the networks for normalised fingertips: joint positions, scaled to -1 and 1 at the
-    limits. The hidden layers are smooth (SiLU), because the robot would follow a kink."""
+    """Evaluates the networks for normalised fingertips. Returns joint positions, scaled so that the
+    limits are -1 and 1. The hidden layers are smooth (SiLU), because the robot would follow a kink.
+    """
 
     def layer(w: Array, b: Array, x: Array) -> Array:
         bias = b.reshape(*b.shape, *[1] * (x.ndim - 2))
@@ -188,9 +190,9 @@ def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array
 
 
 def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
-    """Indices of the actuated joints that move a single fingertip, per finger, thumb first. Others,
-    such as a common spread, have no network and stay at neutral. HandModelError if a finger has no
-    joint of its own."""
+    """Indices of the actuated joints that move a single fingertip, per finger, thumb first. Joints
+    that move several fingertips, such as a common spread joint, have no network and stay at
+    neutral. Raises HandModelError if a finger has no joint of its own."""
     matrix = hand.transmission.matrix
     moves = np.zeros((len(hand.fingers), len(hand.actuated)), bool)
     for row, name in zip(moves, hand.tip_names, strict=True):
@@ -210,7 +212,7 @@ def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
 
 @dataclass(frozen=True, eq=False)
 class GeortModel:
-    """Trained networks, and the hand that they are for.
+    """Trained networks, and the hand that they were trained for.
 
     Attributes:
         weights: weights of the networks, float32.
@@ -239,8 +241,8 @@ class GeortModel:
     training: Mapping[str, Any]
 
     def mirrored_for(self, hand: Hand) -> bool:
-        """True if a hand is the mirror image of the hand in training, False if it is that hand;
-        ConfigError if it is another one."""
+        """Returns True if a hand is the mirror image of the hand that the model was trained for,
+        and False if it is the same hand. Raises ConfigError if it is another hand."""
         own = finger_joints(hand)
         mirrored = self.side != hand.spec.side
 

@@ -1,4 +1,4 @@
-"""Writer of GeoRT's trained networks; ``method`` reads them."""
+"""Writes GeoRT's trained networks to a file, which ``method`` reads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _POSES: Final = 8  # random poses by which a hand is recognised
 
 
 def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray, "k F 3"]]:
-    """Random poses of a hand and their fingertips, by which its model recognises the hand."""
+    """Random poses of a hand and their fingertips, from which a model recognises the hand that it
+    was trained for."""
     low, high = hand.limits.T
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
     return poses, hand.tips(hand.full_configuration(poses))

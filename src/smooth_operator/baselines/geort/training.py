@@ -1,4 +1,5 @@
-"""GeoRT's losses and training, with one compiled program per epoch and explicit state.
+"""GeoRT's losses and training. Each epoch is one compiled program, and the training state is
+explicit.
 
 It needs no pairs of human and robot poses (Yin et al., "Geometric Retargeting"). The arrays of the
 losses have the batch last, as the unrolled kinematics does."""
@@ -79,7 +80,7 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GeortLoss:
-    """The losses for one hand.
+    """GeoRT's training losses for one hand.
 
     Attributes:
         hand: the robot hand.
@@ -98,7 +99,7 @@ class GeortLoss:
         return finger_joints(self.hand)
 
     def tips(self, weights: Weights, points: Float[Array, "F 3 N"]) -> Float[Array, "F 3 N"]:
-        """Robot fingertips that the networks give for human fingertips [m]."""
+        """Robot fingertips [m] to which the networks map human fingertips."""
         hand = self.hand
         inputs = (points - self.centre[:, :, None]) / self.scale[:, None, None]
         unit = forward(weights, inputs.astype(jnp.float32))
@@ -193,7 +194,8 @@ _BATCHES, _VALIDATION = 0xBA, 0x5E  # different random numbers for the two
 
 
 class TrainingState(NamedTuple):
-    """Training state; a pytree of arrays. Random numbers are a function of seed and ``epoch``.
+    """State of a training, as a pytree of arrays. Random numbers are a function of the seed and
+    ``epoch``.
 
     Attributes:
         weights: weights of the networks.
@@ -251,12 +253,12 @@ class GeortTrainer:
 
     @property
     def steps(self) -> int:
-        """Optimiser steps in an epoch."""
+        """Number of optimiser steps in an epoch."""
         return -(-int(self.data.train.counts.max()) // self.settings.batch)
 
     def epochs(self, state: TrainingState) -> Iterator[TrainingState]:
-        """Yields the state after each remaining epoch; SmoothOperatorError if the losses are not
-        finite."""
+        """Yields the state after each remaining epoch. Raises SmoothOperatorError if the losses are
+        not finite."""
         for epoch in range(int(state.epoch), self.settings.epochs):
             data = self.data
             batches = draw_batches(
@@ -540,16 +542,17 @@ VERSION: Final = 1
 
 
 def write_checkpoint(path: Path, trainer: GeortTrainer, state: TrainingState) -> None:
-    """Writes the state of a training, to resume it; OutputError if the file can't be written."""
+    """Writes the state of a training, from which it can be resumed; OutputError if the file can't
+    be written."""
     leaves = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
     with atomic_write(path) as file:
         np.savez(file, allow_pickle=False, about=np.array(to_json(_identity(trainer))), **leaves)
 
 
 def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
-    """Reads a file of ``write_checkpoint`` for the same training. ConfigError if the file does not
-    exist, is damaged, or belongs to another hand, other data or other settings; the message names
-    them."""
+    """Reads a file that ``write_checkpoint`` wrote for the same training. Raises ConfigError if the
+    file does not exist, is damaged, or belongs to another hand, other data or other settings; the
+    message names the differences."""
     path = Path(path)
     if not path.is_file():
         raise ConfigError(f"{path}: there is no checkpoint to resume from; start without --resume")

@@ -127,7 +127,7 @@ class PointSet:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Data of a training.
+    """Data with which GeoRT is trained and validated.
 
     Attributes:
         train: points of training.
@@ -145,7 +145,7 @@ class TrainingData:
 
     @property
     def digest(self) -> str:
-        """Digest of the data, which must be the same for a resumed training."""
+        """Digest of the data. A training can be resumed only with data of the same digest."""
         digest = hashlib.sha256()
         for part in (self.train, self.validation):
             if part is not None:
@@ -162,7 +162,8 @@ def training_data(
     settings: GeortTraining,
     held_out: Sequence[HandRecording] = (),
 ) -> TrainingData:
-    """Prepares training data from recordings: aligns, thins and splits them.
+    """Prepares training data from recordings: aligns the recordings, thins them out and splits
+    them.
 
     Args:
         recordings: recordings of the model's users, of the hand's side.
@@ -280,8 +281,9 @@ _LENGTHS: Final = (0.165, 0.205)  # hands of most adults [m]
 def synthetic_recordings(
     side: Side, seed: int = 0
 ) -> tuple[list[HandRecording], list[HandRecording]]:
-    """Returns ``TRAINING_OPERATORS`` recordings for training, and ``HELD_OUT_OPERATORS`` of other
-    people for validation, with hands of several sizes. Their names contain the seeds."""
+    """Returns ``TRAINING_OPERATORS`` recordings for training, and ``HELD_OUT_OPERATORS`` recordings
+    of other synthetic operators for validation, with hands of several sizes. The names contain the
+    seeds."""
     count = TRAINING_OPERATORS + HELD_OUT_OPERATORS
     low, high = _LENGTHS
     recordings = [

@@ -1,3 +1,3 @@
-"""Report of a benchmark: one self-contained HTML file."""
+"""The report of a benchmark, which is one self-contained HTML file."""
 
 from smooth_operator.benchmark.page.report import write_report as write_report

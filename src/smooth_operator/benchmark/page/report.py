@@ -1,4 +1,5 @@
-"""The report of a benchmark: ``report.html`` with tables, clips and plots, and ``summary.md``.
+"""Writes the report of a benchmark: ``report.html`` with tables, clips and plots, and
+``summary.md``.
 
 The sections of the page are Jinja2 templates."""
 
@@ -63,8 +64,8 @@ _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
 
 
 def write_summary(rows: Sequence[Row], settings: Settings) -> Path:
-    """Writes ``summary.md``: the main table for each hand, with its sample, date and command;
-    OutputError if it can't be written."""
+    """Writes ``summary.md``, which has the main table for each hand with its recordings, date and
+    command. Raises OutputError if the file can't be written."""
     path = settings.output / SUMMARY
     with atomic_write(path) as file:
         file.write(summary_text(rows, settings).encode())
@@ -72,7 +73,7 @@ def write_summary(rows: Sequence[Row], settings: Settings) -> Path:
 
 
 def summary_text(rows: Sequence[Row], settings: Settings) -> str:
-    """The tables of ``write_summary``."""
+    """Text of ``summary.md``; see ``write_summary``."""
     metrics = [metric for metric in COLUMNS if metric.name not in _LEFT_OUT]
     parts = []
     for hand, own in by_hand(rows).items():
@@ -102,7 +103,7 @@ def _short(metric: Metric, value: float | None) -> str:
 
 
 def command_of(settings: Settings) -> str:
-    """The command that ran a benchmark, with recordings named without their folders."""
+    """The command that ran a benchmark; recordings are named without their folders."""
     names = [Path(text).name for text in settings.recordings]
     words = ["smooth-operator", "bench", *names, "--methods", ",".join(settings.methods)]
     words += ["--hands", ",".join(settings.hands)]
@@ -136,7 +137,7 @@ PAPER_NOTE: Final = (
 
 
 def macros(**context: Any) -> Any:
-    """The template's macros, with the names that they use."""
+    """The macros of the page template, with the names that they use."""
     template = templates(__package__).get_template("sections.html.j2")
     shared = {
         "best": best,
@@ -166,7 +167,7 @@ def write_report(
     comparison: Comparison | None = None,
     shape: Callable[[Hand], HandShape] = skeleton_shape,
 ) -> Path:
-    """Writes the page, its plots and the main table in Markdown into the folder of the benchmark.
+    """Writes the page, its plots and the main table in Markdown to the folder of the benchmark.
 
     Args:
         finished: result of ``run_suite``.

@@ -1,4 +1,4 @@
-"""A robot clip as named arrays and a JSON document, for the general formats.
+"""Converts a robot clip to named arrays and a JSON document, for the general formats.
 
 All arrays have one row per frame. Poses are x y z [m] and a unit quaternion w x y z in the clip's
 world. NaN stands for an unknown value. ``SIDE`` is ``right`` or ``left``.
@@ -43,7 +43,7 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 
 def drift(stamps: Float[np.ndarray, " T"], rate: float) -> float:
-    """Largest deviation of timestamps from regular ones at a rate [frames]."""
+    """Largest deviation of timestamps from evenly spaced ones at a rate [frames]."""
     if len(stamps) < 2:
         return 0.0
     nominal = np.arange(len(stamps)) / rate
@@ -76,7 +76,7 @@ def resampled(clip: RobotClip, rate: float) -> RobotClip:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Interpolates new frames between old ones.
+    """Interpolates values at new frames from those of the old frames.
 
     Attributes:
         stamps: (T,) timestamps of the new frames [s].
@@ -94,7 +94,7 @@ class Grid:
 
     @classmethod
     def of(cls, old: np.ndarray, rate: float) -> Grid:
-        """Makes a grid with frames every 1 / ``rate`` seconds."""
+        """Makes a grid with evenly spaced frames at a rate."""
         count = int(np.floor((old[-1] - old[0]) * rate + 1e-6)) + 1
         return cls.at(old, old[0] + np.arange(count) / rate)
 
@@ -118,22 +118,22 @@ class Grid:
 
     @property
     def nearest(self) -> np.ndarray:
-        """(T,) index of the nearer old frame."""
+        """(T,) index of the old frame that is nearest to each new frame."""
         return np.where(self.share > 0.5, self.after, self.before)
 
     def values(self, old: Any) -> np.ndarray:
-        """Interpolates numbers."""
+        """Interpolates numbers at the new frames."""
         rows = np.asarray(old, np.float64)
         share = self.share.reshape(-1, *[1] * (rows.ndim - 1))
         between: np.ndarray = rows[self.before] * (1.0 - share) + rows[self.after] * share
         return between
 
     def flags(self, old: np.ndarray) -> np.ndarray:
-        """True where a flag is true in both frames."""
+        """Interpolates flags: true where the flag is true in both neighbouring old frames."""
         return np.asarray(old[self.before] & old[self.after])
 
     def poses(self, old: np.ndarray) -> np.ndarray:
-        """Interpolates poses."""
+        """Interpolates poses at the new frames."""
         a, b = old[self.before], old[self.after]
         turn = poses.multiply(poses.conjugate(a[..., 3:]), b[..., 3:])
         part = poses.from_rotation_vectors(self.share[:, None] * poses.rotation_vectors(turn))
@@ -165,7 +165,7 @@ def _commands(commands: CommandTrajectory, grid: Grid) -> CommandTrajectory:
 
 
 def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
-    """Arrays of a clip by name, in a fixed order; see the docstring of this module.
+    """Returns the arrays of a clip by name, in a fixed order; see the docstring of this module.
 
     Metacarpal bases, orientations of landmarks, quality metrics of single frames, latencies and
     invalid landmarks are left out. All numbers except the timestamps are rounded to float32.
@@ -198,14 +198,14 @@ def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
 
 
 def clip_valid(clip: RobotClip, side: Side) -> np.ndarray:
-    """(T,) True where the command of a side was computed from a hand that was seen."""
+    """(T,) True where the command of a side was computed from a hand that the tracker saw."""
     if side in clip.valid:
         return np.asarray(clip.valid[side], bool)
     return np.asarray(np.equal(clip.commands[side].status, Status.OK))
 
 
 def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, Any]:
-    """Other facts about a clip, as JSON values."""
+    """Facts about a clip that are not arrays, as JSON values."""
     human = clip.clip
     return {
         "key": key,
@@ -236,13 +236,14 @@ def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, An
 
 
 def clip_rate(clip: RobotClip) -> float | None:
-    """Frame rate, from the median time step [Hz]; None with fewer than two frames."""
+    """Frame rate of a clip, from the median time step [Hz]; None if it has fewer than two
+    frames."""
     steps = np.diff(clip.clip.stamps)
     return float(1.0 / np.median(steps)) if len(steps) else None
 
 
 def clip_key(clip: RobotClip) -> str:
-    """Key of a clip; if it has no key, a digest of its document and arrays."""
+    """Key of a clip. If the clip has no key, a digest of its document and arrays."""
     digest = hashlib.sha256(to_json(clip_document(clip, "", "")).encode())
     for name, array in clip_arrays(clip).items():
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
@@ -251,13 +252,14 @@ def clip_key(clip: RobotClip) -> str:
 
 
 def slug(text: str) -> str:
-    """Converts a text to ASCII letters, digits and ``_``, for file names on every system."""
+    """Converts a text to ASCII letters, digits and ``_``, so that it can be part of a file name on
+    every system."""
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     return re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:60].strip("_") or "clip"
 
 
 def unique_slug(name: str, key: str) -> str:
-    """Unique part of a file name: the clip's name with a digest of its key."""
+    """Makes a unique part of a file name from the clip's name and a digest of its key."""
     return f"{slug(name)}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
 
 

@@ -1,4 +1,4 @@
-"""Writer of LeRobot data sets, version 3.0, with state and action of the robot.
+"""Writer of LeRobot data sets, version 3.0, with the robot's state and action.
 
 ::
 
@@ -210,8 +210,8 @@ def _track(boxes: dict[bytes, bytes], path: Path) -> VideoHead | None:
 
 
 def place(source: Path, target: Path, how: str) -> None:
-    """Copies a video, or links it with a hard link or, if that fails, a symbolic link; OSError if
-    it can't be written."""
+    """Copies a video or, if ``how`` asks for a link, makes a hard link or else a symbolic link.
+    Raises OSError if it can't be written."""
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = hidden(target)
     remove(target)  # a link to the same file would stay under its hidden name

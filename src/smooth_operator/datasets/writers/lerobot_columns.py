@@ -54,7 +54,7 @@ from smooth_operator.types import HandRecording, Side
 
 @dataclass(frozen=True)
 class RobotLayout:
-    """The columns of a data set, which all its clips share.
+    """The columns that all clips of a data set share.
 
     Attributes:
         joints: side -> names of the joints of the robot hand.
@@ -76,7 +76,7 @@ class RobotLayout:
 
     @classmethod
     def of(cls, clip: RobotClip, options: WritingOptions, fps: float) -> RobotLayout:
-        """Makes the layout for the first clip and the options."""
+        """Makes the layout from the first clip and the options."""
         names = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
         joints = {**names, **options.joints}
         return cls(
@@ -123,7 +123,7 @@ class RobotLayout:
             )
 
     def layout(self) -> Layout:
-        """The columns, without indices and video."""
+        """The columns of the data set, without indices and video."""
         state: list[str] = []
         for side, joints in self.joints.items():
             state += joint_keys([sided(joint, side) for joint in joints])
@@ -206,7 +206,7 @@ def _has_wrist(clip: RobotClip) -> bool:
 
 
 def sided(joint: str, side: Side) -> str:
-    """Name of a joint that begins with the side."""
+    """Joint name, prefixed with the side."""
     return joint if joint.lower().startswith(f"{side}_") else f"{side}_{joint}"
 
 

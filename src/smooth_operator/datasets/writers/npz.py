@@ -30,8 +30,8 @@ from smooth_operator.types import Side, Status
 
 
 class CommandFiles:
-    """Writes command files into a folder; files that already have the same content are left
-    alone."""
+    """Writes command files to a folder. Files that already have the same content are not written
+    again."""
 
     def __init__(self, folder: Path, options: WritingOptions) -> None:
         self._folder, self._options = folder, options
@@ -45,7 +45,7 @@ class CommandFiles:
 
     @property
     def notes(self) -> list[str]:
-        """Note on the number of frames without a usable hand."""
+        """Note on the number of frames without a usable human hand."""
         held = f"{self._held} of {self._frames} frames had no usable hand"
         return [held] if self._held else []
 
@@ -79,7 +79,7 @@ NPZ: Final = DatasetFormat("a folder of commands", CommandFiles, parallel=True, 
 
 
 def taken(path: Path, folder: Path) -> str | None:
-    """Reason why a result can't be written at a path; None if it can.
+    """Reason why a result can't be written to a path; None if it can.
 
     Args:
         path: ``OUT.npz``.
@@ -94,7 +94,7 @@ def taken(path: Path, folder: Path) -> str | None:
 
 
 def refused(items: Iterable[Item], folder: Path, report: str) -> dict[str, str]:
-    """Name of item -> reason, for items whose results can't be written at their paths.
+    """Maps the names of items whose results can't be written at their paths to the reasons.
 
     Args:
         folder: folder of the results.

@@ -1,4 +1,4 @@
-"""Writer of Parquet files with one row per clip, and lists with one item per frame.
+"""Writes Parquet files with one row per clip, in which per-frame values are stored as lists.
 
 A row is a clip, not a frame, because clips differ in hands, objects and frames, because task and
 origin would otherwise be repeated in every frame, and because training on clips would have to group

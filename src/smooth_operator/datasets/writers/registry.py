@@ -1,4 +1,4 @@
-"""Registry of the output formats of data sets, both built-in and from plugins."""
+"""Registry of the output formats of data sets: the built-in ones and those of plugins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Writes data sets in shards: files with many clips, each with an index that is written after it.
+"""Writes data sets as shards: files with many clips, each with an index that is written once the
+shard is complete.
 
 ::
 
@@ -51,7 +52,7 @@ MB: Final = 1_000_000
 
 
 class ShardedWriter(ABC):
-    """Writer of a data set in shards; a subclass defines the format of a shard.
+    """Base class of writers of sharded data sets; a subclass defines the format of a shard.
 
     A writer that is not closed, or whose process is killed, leaves complete shards and loses the
     clips of the last one. A new writer with the same options continues after them.
@@ -162,7 +163,7 @@ class ShardedWriter(ABC):
 
     @property
     def written(self) -> Collection[str]:
-        """Keys of the clips in complete shards of all parts."""
+        """Keys of the clips in the complete shards, of all parts of the data set."""
         return self._written
 
     @property
@@ -188,7 +189,7 @@ class ShardedWriter(ABC):
             self._counts[text] = self._counts.get(text, 0) + 1
 
     def write(self, clip: RobotClip) -> None:
-        """Adds a clip, unless its key was written before.
+        """Adds a clip, unless a clip with the same key was written before.
 
         Raises:
             RecordingError: the format can't store this clip (no frames, no wrist, no object). The
@@ -255,7 +256,7 @@ class ShardedWriter(ABC):
             self._abandon()
 
     def configuration(self, clip: RobotClip) -> str:
-        """Digest of the clip's configuration; its file is written once."""
+        """Returns the digest of the clip's configuration, whose file is written only once."""
         configuration = self._configurations.get(id(clip.config))
         if configuration is not None and configuration[0] is clip.config:
             return configuration[1]
@@ -359,12 +360,12 @@ def _about(path: Path) -> Iterator[None]:
 
 
 def hidden(path: Path) -> Path:
-    """Hidden name that a file has until it is complete."""
+    """Hidden name that a file has until the file is complete."""
     return path.with_name(f".{path.name}.tmp")
 
 
 def publish(path: Path) -> None:
-    """Renames a complete file from its hidden name, after a flush to the disk."""
+    """Renames a complete file from its hidden name to its final name, after a flush to disk."""
     temporary = hidden(path)
     with temporary.open("rb+") as file:
         os.fsync(file.fileno())  # or a power cut could leave the name on an empty file
@@ -387,7 +388,7 @@ def drop_parquet(writer: Any) -> None:
 
 
 class TarShards(ShardedWriter):
-    """Shards that are tar files with deterministic headers."""
+    """Shards in the form of tar files with deterministic headers."""
 
     folder = "shards"
 
@@ -409,7 +410,7 @@ class TarShards(ShardedWriter):
 
 
 def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """Encodes arrays as an uncompressed NumPy archive; equal arrays give equal bytes."""
+    """Encodes arrays as an uncompressed NumPy archive. Equal arrays give equal bytes."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     return content.getvalue()

@@ -1,4 +1,5 @@
-"""Episodes as a LeRobot dataset, version 3.0: a folder of Parquet files and their metadata.
+"""Reads and writes episodes as a LeRobot dataset, version 3.0: a folder of Parquet files and their
+metadata.
 
 ::
 

@@ -121,7 +121,7 @@ def layout_of(episode: Episode) -> Layout:
 
 
 def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
-    """Returns the layout that contains the columns of two layouts.
+    """Returns the layout with the columns of both given layouts.
 
     Args:
         names: names of the two episodes, for the message.
@@ -321,7 +321,7 @@ def robot_columns(
     episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
 ) -> dict[str, np.ndarray]:
     """Makes a (T,) or (T, k) array for each feature of a ``robot_layout``; see ``episode_columns``.
-    RecordingError if there is no moment with both a command and a measurement."""
+    Raises RecordingError if there is never both a command and a measurement."""
     commands, states = episode.commands, episode.states
     assert commands is not None and states is not None  # noqa: PT018
     joints = [name.removesuffix(".pos") for name in layout["observation.state"] or ()]

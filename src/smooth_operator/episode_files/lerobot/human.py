@@ -76,7 +76,8 @@ def human_parts(recording: HandRecording) -> tuple[str, ...]:
 
 
 def human_columns(recording: HandRecording) -> dict[str, np.ndarray]:
-    """Makes the (T,) or (T, k) columns of a recording, with NaN where it has NaN."""
+    """Makes the (T,) or (T, k) columns of a recording. Values that are NaN in the recording stay
+    NaN."""
     count, side = len(recording), recording.side
     assert recording.valid is not None  # filled in by HandRecording
     columns = {"landmarks": recording.landmarks, "landmarks_valid": recording.valid}

@@ -81,7 +81,7 @@ class Dataset:
         )
 
     def name_of(self, number: int) -> str:
-        """Returns the name of one episode; ConfigError if there is no episode of that number."""
+        """Returns the name of one episode; ConfigError if there is no episode with that number."""
         own = _own(self.row(number), self.path)
         return str(own.get("name") or f"episode_{number:06d}")
 
@@ -244,8 +244,8 @@ def _frames(row: Mapping[str, Any], table: Any, file: Path) -> Any:
 
 
 def data_file(dataset: Dataset, number: int) -> Path:
-    """Returns the file with the frames of an episode; RecordingError if the metadata do not say
-    where it is, or name a file outside the dataset."""
+    """Returns the file with the frames of an episode. Raises RecordingError if the metadata do not
+    name the file, or name one outside the dataset."""
     row = dataset.row(number)
     try:
         relative = _filled(

@@ -1,4 +1,5 @@
-"""Columns of LeRobot data sets for the recorder, ``convert`` and ``dataset``: keys, types, units.
+"""Columns of LeRobot data sets that the recorder, ``convert`` and ``dataset`` share: keys, types
+and units.
 
 A data set has some of the columns in ``COLUMNS``, in the order of its ``Layout``, and the columns
 ``INDICES``, which all LeRobot data sets have. ``columns`` makes those of ``convert`` and of the
@@ -25,17 +26,17 @@ WRIST_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def joint_keys(joints: Sequence[str]) -> tuple[str, ...]:
-    """Keys of joints in the actions and observations of LeRobot."""
+    """Keys under which LeRobot stores joints in actions and observations."""
     return tuple(f"{name}.pos" for name in joints)
 
 
 def pose_keys(names: Sequence[str] = POSE_NAMES) -> tuple[str, ...]:
-    """Keys of a wrist's pose in the actions and observations of LeRobot."""
+    """Keys under which LeRobot stores a wrist pose in actions and observations."""
     return tuple(f"tcp.{name}" for name in names)
 
 
 def wrist_pose(values: Sequence[float]) -> np.ndarray:
-    """Pose of a wrist from the values of its keys, whose rotation may be inexact.
+    """Makes a wrist pose from the values of its keys, whose rotation may be slightly inexact.
 
     Args:
         values: x y z [m], and a rotation vector [rad], a quaternion wxyz or the first two columns
@@ -134,7 +135,7 @@ def column_of(name: str) -> tuple[str, str]:
 
 
 def dataset_features(layout: Layout) -> dict[str, dict[str, Any]]:
-    """Makes the ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
+    """Makes the entry ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
     return {
         name: {
             "dtype": column_of(name)[0],
@@ -167,7 +168,8 @@ def index_columns(
 
 
 def typed(columns: Mapping[str, np.ndarray], layout: Layout) -> dict[str, np.ndarray]:
-    """Converts the columns of a layout to their types, in order, without the indices."""
+    """Converts the columns of a layout to their types, in the order of the layout and without the
+    indices."""
     # Values beyond float32 become infinite there, as they must; the float64 columns have them.
     with np.errstate(over="ignore"):
         return {name: columns[name].astype(column_of(name)[0]) for name in layout}

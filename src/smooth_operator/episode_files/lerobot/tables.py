@@ -40,17 +40,19 @@ QUANTILES: Final = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0
 
 
 def arrow() -> Any:
-    """The module ``pyarrow``; MissingExtraError if it is not installed."""
+    """Imports and returns the module ``pyarrow``; MissingExtraError if it is not installed."""
     return _module("pyarrow")
 
 
 def parquet() -> Any:
-    """The module ``pyarrow.parquet``; MissingExtraError if it is not installed."""
+    """Imports and returns the module ``pyarrow.parquet``; MissingExtraError if it is not
+    installed."""
     return _module("pyarrow.parquet")
 
 
 def column(values: np.ndarray) -> Any:
-    """Makes an Arrow array: of scalars from (T,) or (T, 1), of lists of k numbers from (T, k).
+    """Makes an Arrow array: of scalars from a (T,) or (T, 1) array, or of lists of k numbers from a
+    (T, k) array.
 
     LeRobot stores every feature of one number as a scalar. NaN stays NaN and does not become null.
     """
@@ -62,8 +64,8 @@ def column(values: np.ndarray) -> Any:
 
 
 def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
-    """Reads a (T, width) array from a column that ``column`` made or that another program rewrote;
-    RecordingError if there is no such column, or its content is different."""
+    """Reads a (T, width) array from a column that ``column`` made or that another program rewrote.
+    Raises RecordingError if there is no such column, or if it has other content."""
     pa = arrow()
     if name not in table.column_names:
         raise RecordingError(
@@ -155,24 +157,24 @@ class Statistics:
     values: dict[str, Float[np.ndarray, " k"]]
 
     def to_lists(self) -> dict[str, list[float] | list[int]]:
-        """The statistics in the form that LeRobot writes."""
+        """Returns the statistics in the form that LeRobot writes."""
         lists: dict[str, list[float] | list[int]] = {k: v.tolist() for k, v in self.values.items()}
         return {**lists, "count": [self.frames]}
 
     def to_json(self) -> dict[str, Any]:
-        """The statistics as JSON values, exact to the last bit."""
+        """Returns the statistics as JSON values, exact to the last bit."""
         values = {name: each.tolist() for name, each in self.values.items()}
         return {"frames": self.frames, "finite": self.finite.tolist(), "values": values}
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Statistics:
-        """The statistics that ``to_json`` wrote."""
+        """Restores the statistics that ``to_json`` returned."""
         values = {name: np.asarray(each, np.float64) for name, each in value["values"].items()}
         return cls(value["frames"], np.asarray(value["finite"], np.float64), values)
 
 
 def column_statistics(values: np.ndarray) -> Statistics:
-    """Statistics of (T,) or (T, k) values; booleans count as 0 and 1."""
+    """Computes statistics of (T,) or (T, k) values; booleans count as 0 and 1."""
     array = values.reshape(len(values), -1).astype(np.float64)
     finite = np.isfinite(array)
     counts = finite.sum(axis=0).astype(np.float64)
@@ -201,7 +203,8 @@ def column_statistics(values: np.ndarray) -> Statistics:
 
 
 def columns_statistics(columns: Mapping[str, np.ndarray]) -> dict[str, Statistics]:
-    """Statistics of columns of the same length; three times as fast as one column at a time."""
+    """Computes statistics of columns of the same length, three times as fast as one column at a
+    time."""
     parts = [values.reshape(len(values), -1).astype(np.float64) for values in columns.values()]
     ends = np.cumsum([part.shape[1] for part in parts])
     together = column_statistics(np.concatenate(parts, axis=1))
@@ -226,7 +229,7 @@ def _quantiles(array: np.ndarray) -> np.ndarray:
 
 
 def joint_statistics(parts: Sequence[Statistics]) -> Statistics:
-    """Statistics of several episodes together.
+    """Combines the statistics of several episodes.
 
     They are exact except for the quantiles, which, as in LeRobot, are the weighted mean of the
     episodes' quantiles.
@@ -266,7 +269,7 @@ def episodes_table(
     chunk: int = 0,
     file: int = 0,
 ) -> Any:
-    """Makes the table of a file of ``meta/episodes``.
+    """Makes the table of one file in ``meta/episodes``.
 
     Args:
         rows: rows of the episodes in the file, each with the same columns.
@@ -287,7 +290,7 @@ def episodes_table(
 def episode_row(
     number: int, first: int, count: int, task: str, place: tuple[int, int]
 ) -> dict[str, Any]:
-    """A row of ``meta/episodes``, without statistics.
+    """Makes a row of ``meta/episodes``, without statistics.
 
     Args:
         number: ``episode_index``.
@@ -335,7 +338,7 @@ def dataset_info(
 
 
 def mean_rate(stamps: Float[np.ndarray, " T"]) -> float | None:
-    """Mean frame rate [Hz] over all steps except pauses; None for fewer than two frames."""
+    """Mean frame rate [Hz] over all time steps except pauses; None for fewer than two frames."""
     steps = np.diff(stamps)
     usual = steps[steps <= PAUSE * np.median(steps)] if len(steps) else steps
     return float(1.0 / usual.mean()) if len(usual) and usual.mean() > 0.0 else None
@@ -349,7 +352,7 @@ STANDARD_FPS: Final = (
 
 
 def standard_fps(rate: float) -> int:
-    """The common frame rate within 5 % of a rate, or else the nearest whole number [Hz].
+    """Returns the common frame rate within 5 % of a rate, or else the nearest whole number [Hz].
 
     A loop of 100 Hz, for example, runs at 95 to 99 Hz on a busy machine."""
     near = min(STANDARD_FPS, key=lambda fps: abs(fps / rate - 1.0))
@@ -357,7 +360,8 @@ def standard_fps(rate: float) -> int:
 
 
 def tasks_table(tasks: Iterable[str]) -> Any:
-    """Makes the table of ``meta/tasks.parquet``; the row of a task is its ``task_index``."""
+    """Makes the table of ``meta/tasks.parquet``; the number of a row is the task's
+    ``task_index``."""
     pa = arrow()
     texts = list(tasks)
     index = pa.array(range(len(texts)), pa.int64())
@@ -406,7 +410,7 @@ def write_description(
 def dataset_readme(
     info: Mapping[str, Any], title: str, more: str = "", units: Mapping[str, str] | None = None
 ) -> str:
-    """Makes the README of a data set; the data set hub reads its header to show the frames as a
+    """Makes the README of a data set. The Hugging Face hub reads its header to show the frames as a
     table.
 
     Args:
