@@ -1,5 +1,4 @@
-"""The exceptions of this package; each message states what was expected, what was found, and what
-to do.
+"""Exceptions of this package; each message says what was expected, what was found, what to do.
 
 All errors derive from ``SmoothOperatorError``, and from the matching built-in class, such as
 ``ValueError``, so that code that does not know this package can still catch them.
@@ -166,6 +165,5 @@ def listed(names: Iterable[object], most: int = 12) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """A number with its noun, such as ``1 frame`` or ``2 frames``; for nouns with a regular
-    plural."""
+    """A number with its noun: ``1 frame``, ``2 frames``; for nouns with a regular plural."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -18,7 +18,7 @@ AnyKind = TypeVar("AnyKind", Array, np.ndarray)
 
 
 def array_namespace(*arrays: Any) -> ModuleType:
-    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one of them is a JAX array, else
+    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one is a JAX array, else
     ``numpy``."""
     return jnp if any(isinstance(a, Array) for a in arrays) else np
 
@@ -27,8 +27,7 @@ _Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over 
 
 
 class Similarity(NamedTuple, Generic[_Held]):
-    """Similarity transform x -> scale * rotation @ x + translation, with a measure of how well the
-    points determine it.
+    """Similarity transform x -> scale * rotation @ x + translation, and how well-conditioned it is.
 
     Attributes:
         rotation: (..., 3, 3) proper rotation.

@@ -1,5 +1,4 @@
-"""Registries of methods, hands, sources, sinks, readers, metrics and commands, to which plugins can
-add.
+"""Registries of methods, hands, sources, sinks, readers, metrics and commands, open to plugins.
 
 A name denotes a built-in part, or a part that an installed distribution offers under the entry
 point group ``smooth_operator.<kind>s``, or it has the form ``package.module:attribute``. A part is
@@ -130,8 +129,7 @@ class Registry(Mapping[str, Entry]):
 
     @property
     def plugins(self) -> dict[str, Entry]:
-        """Maps the names of parts to the parts that come from installed distributions or were
-        added."""
+        """Maps names to parts that come from installed distributions or were added."""
         offered = _installed(self.group) | self._added
         return {
             name: replace(offered[name], summary=self.summaries.get(name, offered[name].summary))
@@ -168,9 +166,9 @@ class Registry(Mapping[str, Entry]):
         return (target[0], after[1:]) if not after or after[0] in ":," else (name, rest)
 
     def find(self, name: str) -> Entry:
-        """Returns the entry with this name, or the one at ``package.module:attribute``. Raises
-        UnknownNameError if there is none, and ConfigError if it belongs to a distribution that is
-        not installed."""
+        """Returns the entry with this name, or the one at ``package.module:attribute``;
+        UnknownNameError if there is none, ConfigError if it belongs to a distribution that is not
+        installed."""
         if name in self:
             return self[name]
         if is_target(name):
@@ -180,7 +178,7 @@ class Registry(Mapping[str, Entry]):
         raise UnknownNameError(self.kind, name, self)
 
     def load(self, name: str) -> Any:
-        """Imports and returns the object with this name. Raises the same errors as ``find`` and
+        """Imports and returns the object with a name; raises the errors of ``find`` and
         ``Entry.load``."""
         entry = self.find(name)
         if name in self:
@@ -204,7 +202,7 @@ class Registry(Mapping[str, Entry]):
         return parts
 
     def check(self, name: str, part: object) -> None:
-        """Raises ConfigError for an abstract class, or for an object that lacks an attribute in
+        """Raises ConfigError for an abstract class, or an object that lacks an attribute in
         ``needs``."""
         missing = (
             sorted(getattr(part, "__abstractmethods__", ()))

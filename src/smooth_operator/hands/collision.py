@@ -46,9 +46,8 @@ def lacking_parts(hand: Hand) -> set[int]:
 
 
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
-    """Index in ``FINGERS`` of the finger to which each body belongs, or ``PALM``. A finger consists
-    of the bodies from palm to fingertip that it shares with no other finger, and of everything
-    attached to them."""
+    """Index in ``FINGERS`` of each body's finger, or ``PALM``. A finger consists of the bodies from
+    palm to fingertip that it shares with no other finger, and of everything attached to them."""
     model = hand.model
     palm = model.body(hand.spec.palm).id
     chains = []
@@ -136,8 +135,7 @@ def _cylinder_rods(radius: float, half: float) -> list[tuple[np.ndarray, float, 
 
 
 def strip_shifts(thick: float, wide: float) -> Float[np.ndarray, " n"]:
-    """Positions of the centre lines of parallel rods across a flat part, from half its thickness
-    and half its width [m]."""
+    """Centre lines of parallel rods across a flat part, from half its thickness and width [m]."""
     spread = wide - thick
     if spread <= 0.1 * thick:
         return np.zeros(1)

@@ -39,8 +39,7 @@ class PointMotion(NamedTuple):
     origin_speeds: Float[Array, "J 3"]
 
     def along(self, points: Float[Array, "R 3"], directions: Float[Array, "R 3"]) -> Array:
-        """(R, J) velocity of each point along a direction, per unit velocity of each joint that
-        moves it [m/rad]."""
+        """(R, J) speed of each point along a direction per unit speed of each joint [m/rad]."""
         wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
         screws = jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1)
         # a sum: a matrix product would cost a call of XLA's library
@@ -132,8 +131,8 @@ class PointKinematics:
         return PointMotion(points, jnp.where(slide, 0.0, axes), speeds)
 
     def jacobian(self, motion: PointMotion, of: slice | np.ndarray = slice(None)) -> Array:
-        """(F, J, 3) derivatives dp_f/dq_j [m/rad] of some points or of all points, zero where joint
-        j does not move point f."""
+        """(F, J, 3) derivatives dp_f/dq_j [m/rad] of some or all points, zero where joint j does
+        not move point f."""
         axes, points = motion.hinge_axes, motion.points[of]
         result = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)
@@ -157,9 +156,8 @@ class PointKinematics:
 
 
 def moments(points: Float[Array, "F 3"], gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
-    """Computes the moments p g^T and g of each point p, as input for
-    ``PointKinematics.derivatives``. The gradient g with respect to the points is treated as
-    constant."""
+    """Moments p g^T and g of each point p, as input of ``PointKinematics.derivatives``. The
+    gradient g with respect to the points is treated as constant."""
     products = (points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
     return jnp.concatenate([products, gradient], axis=1)
 

@@ -1,5 +1,4 @@
-"""Finds the joints that bend or spread a finger, from the circle on which each joint moves the
-fingertip."""
+"""Finds the joints that bend or spread a finger, from the circle on which each moves the tip."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ class Bend(NamedTuple):
 
 @lru_cache(maxsize=8)
 def bends_past_straight(hand: Hand) -> list[Bend]:
-    """Finds joints that bend a finger backwards past straight, which shortens it by more than a
-    millimetre."""
+    """Joints that bend a finger back past straight, which shortens it by over a millimetre."""
     bends = []
     for f, (name, circles) in enumerate(zip(hand.fingers, _circles(hand), strict=True)):
         parallel = [one for one in circles if abs(one.axis @ circles[-1].axis) > _PARALLEL]

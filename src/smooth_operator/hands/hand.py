@@ -157,15 +157,14 @@ class Hand:
 
     @cached_property
     def align_points(self) -> Float[np.ndarray, "a 3"]:
-        """The robot's counterparts of ``align_indices``, in the palm frame and the neutral pose
-        [m]."""
+        """The robot's counterparts of ``align_indices`` in the neutral pose, palm frame [m]."""
         at = dict(zip(self.tree.names, self.landmark_positions(self.neutral), strict=True))
         return np.stack([at[LANDMARKS[i]] for i in self.align_indices])
 
     @cached_property
     def joint_limits(self) -> Float[np.ndarray, "n 2"]:
-        """(n, 2) limits of all joints [rad], including coupled ones; infinite for a joint without
-        limits."""
+        """(n, 2) limits of all joints [rad], coupled ones included; infinite if a joint has
+        none."""
         return self.tree.limits
 
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
@@ -174,8 +173,7 @@ class Hand:
         return self.transmission.positions(q)
 
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
-        """Computes ``full_configuration`` from m arrays of the same shape (batch axis last), inside
-        a compiled program."""
+        """``full_configuration`` from m arrays of one shape (batch last), in a compiled program."""
         return self.transmission.rows(q)
 
     def landmark_positions(self, q: ArrayLike) -> Float[np.ndarray, "*batch k 3"]:
@@ -247,8 +245,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
 
 
 def fingerprint(hand: Hand) -> str:
-    """Digest of the numbers of a hand on which a compiled program depends; the hand's name does not
-    count."""
+    """Digest of the numbers of a hand on which a compiled program depends, without its name."""
     tree = hand.tree
     digest = hashlib.sha256()
     parts: list[object] = [

@@ -1,5 +1,4 @@
-"""Computes keypoint positions of a tree of joints for many poses at once; the tree is unrolled at
-trace time.
+"""Computes keypoint positions of a tree of joints for many poses, unrolled at trace time.
 
 For every keypoint the chain of joints above it is written out as straight-line arithmetic over
 arrays whose *last* axis is the batch, so that a compiler can fuse the forward kinematics of

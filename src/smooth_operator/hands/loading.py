@@ -118,9 +118,8 @@ def _check_finite(model: mujoco.MjModel, path: Path) -> None:
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Joints that a motor drives: those with an actuator of their own, the first joint of each
-    driven fixed tendon, and leaders that a driven joint follows by a polynomial of degree 2 or
-    more."""
+    """Joints with an actuator of their own, the first joint of each driven fixed tendon, and
+    leaders that a driven joint follows by a polynomial of degree 2 or more."""
     driven = _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
     curved = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_data[:, 2:5].any(axis=1)
     return driven | {
@@ -190,8 +189,7 @@ def _name_all(spec: mujoco.MjSpec) -> None:
 
 
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
-    """Returns the model that ``load_model`` compiles, in editable form. Raises HandModelError if
-    that fails."""
+    """The model that ``load_model`` compiles, in editable form; HandModelError if that fails."""
     path, files = _model_files(path)
     read = partial(_read, path, files, mirror)
     spec = read()
@@ -244,8 +242,7 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
 def merged_couplings(
     declared: tuple[Coupling, ...], given: tuple[Coupling, ...]
 ) -> tuple[Coupling, ...]:
-    """Couplings of a model file, replaced by those of a description where the description gives
-    them."""
+    """Couplings of a model file, except where a description has its own."""
     joints = {coupling.joint for coupling in given}
     return (*(coupling for coupling in declared if coupling.joint not in joints), *given)
 

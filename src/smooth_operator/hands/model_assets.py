@@ -71,9 +71,9 @@ class ModelFiles:
 
 
 def model_path(path: Path) -> Path:
-    """Returns the absolute path of a model file, without ``..``; HandModelError if it is not UTF-8.
-    Links to its folder are followed. A link to the file itself is not followed, because the meshes
-    lie beside the link."""
+    """The absolute path of a model file, without ``..``; HandModelError if it is not UTF-8. Links
+    to its folder are followed. A link to the file itself is not, because meshes lie beside the
+    link."""
     whole = Path(os.path.realpath(path.parent), path.name)
     try:
         str(whole).encode("utf-8")
@@ -260,8 +260,7 @@ _MARKS: Final = {
 
 
 def read_model_xml(path: Path) -> ElementTree.Element:
-    """Returns the root element of a model file. Raises HandModelError if the file can't be read or
-    is not a model."""
+    """The root element of a model file; HandModelError if it can't be read, or is not a model."""
     if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
         raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
     try:

@@ -1,5 +1,4 @@
-"""Description of a robot hand (palm, fingers, landmarks, neutral pose), and selection of
-fingers."""
+"""Description of a robot hand (palm, fingers, landmarks, neutral pose); selection of fingers."""
 
 from __future__ import annotations
 
@@ -106,8 +105,7 @@ class Coupling:
 
     @classmethod
     def of(cls, joint: str, follows: str, coefficients: Sequence[float]) -> Coupling:
-        """Makes the coupling with these coefficients, constant first; zeros at the end are
-        dropped."""
+        """Makes a coupling from its coefficients, constant first; zeros at the end are dropped."""
         offset, *powers = map(float, coefficients)
         while powers and not powers[-1]:
             powers.pop()
@@ -256,8 +254,7 @@ FingerChoice: TypeAlias = Mapping[str, str] | Sequence[str]
 
 
 def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
-    """Returns a hand's description with only some of its fingers; the joints of the other fingers
-    stay at neutral.
+    """Returns a hand's description with only some of its fingers; the other joints stay at neutral.
 
     The alignment keeps its landmarks if all remain. Otherwise it uses the thumb and the first
     and last of the other fingers, or, with two fingers, these and the wrist.

@@ -72,8 +72,7 @@ def stand_in_note(hand: Hand) -> str:
 
 
 def stand_ins(hand: Hand) -> StandIns:
-    """Makes capsules for the links of a hand that lost shapes and whose remaining shapes do not
-    cover the bone.
+    """Makes capsules for links that lost shapes and whose other shapes do not cover the bone.
 
     If at least half of the fingers have such a link, stand-ins replace the shapes of all finger
     links, which is better than a mix (docs/how-to/hands.md). A hand without any colliding shape

@@ -63,8 +63,7 @@ class Transmission:
         return slopes
 
     def rows(self, q: Sequence[Array]) -> list[Array]:
-        """Computes ``positions`` from m arrays of the same shape (batch axis last), inside a
-        compiled program."""
+        """``positions`` from m arrays of one shape (batch axis last), in a compiled program."""
         rows: list[Array] = []
         for i, (weights, constant) in enumerate(zip(self.matrix, self.offset, strict=True)):
             (used,) = np.nonzero(weights)

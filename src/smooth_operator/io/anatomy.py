@@ -114,8 +114,7 @@ class Doubt:
 def implausible(
     landmarks: AnyArray, valid: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
-    """True for each frame that can't show a hand, judging by its size [m] or the lengths of its
-    bones.
+    """True for frames that can't show a hand, by its size [m] or the lengths of its bones.
 
     Args:
         landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
@@ -270,8 +269,8 @@ class HandCheck:
 def wrong_order(
     points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...], believed: bool = False
 ) -> Doubt | None:
-    """Problem with the order of the points. If the stated order is believed, only checks whether
-    the points are of the right kind."""
+    """Problem with the order of the points. If the stated order is believed, only their kind (3D or
+    picture) is checked."""
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
         if of_a_picture(points[:, list(stated)]):
             return OF_A_PICTURE
@@ -311,16 +310,14 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...]) -
 
 
 def bone_lengths(landmarks: AnyArray) -> AnyArray:
-    """(..., 26) lengths of the bones and of lines across the palm [m], from (..., 21, 3)
-    landmarks."""
+    """(..., 26) lengths of bones and of lines across the palm [m] from (..., 21, 3) landmarks."""
     bones = landmarks[..., _PAIRS[:, 1], :] - landmarks[..., _PAIRS[:, 0], :]
     lengths: AnyArray = array_namespace(landmarks).sqrt((bones * bones).sum(axis=-1))
     return lengths
 
 
 def misfits_of(lengths: AnyArray) -> AnyArray:
-    """Mean deviation of (..., pairs) lengths from those of a human hand, in standard deviations of
-    the population."""
+    """Mean deviation of (..., pairs) lengths from a human hand's, in standard deviations."""
     xp = array_namespace(lengths)
     off = xp.log(xp.maximum(lengths, 1e-9)) - _LOGS.astype(lengths.dtype)
     off = off - off.mean(axis=-1, keepdims=True)

@@ -64,8 +64,7 @@ class Entries:
     def text(
         self, name: str, default: str | None = None, *, empty: bool = True, lines: bool = False
     ) -> str:
-        """Returns a string. If ``lines``, the string may have several lines and control
-        characters."""
+        """Returns a string; with ``lines``, it may have several lines and control characters."""
         value = self._get(name, default, "a string")
         if not isinstance(value, str):
             raise self.error(name, f"expected a string, not {brief(value)}")
@@ -140,7 +139,7 @@ class Entries:
 
     @contextmanager
     def name_file(self) -> Iterator[None]:
-        """Converts this package's errors inside the block to ``refuse``, and adds the name of the
+        """Converts this package's errors in the block to ``refuse``, and adds the name of the
         file."""
         try:
             yield

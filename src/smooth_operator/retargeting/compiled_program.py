@@ -29,13 +29,11 @@ class ProgramCache(Protocol):
     def traced(
         self, program: CompiledProgram, signature: Signature, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
-        """Returns the program's function, or an already traced function that gives the same
-        results."""
+        """Returns the program's function, or a traced one that gives the same results."""
 
 
 class CompiledProgram:
-    """A function of pytrees of arrays that is compiled at its first call with arguments of a given
-    shape.
+    """A function of pytrees of arrays, compiled at its first call with arguments of each shape.
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.

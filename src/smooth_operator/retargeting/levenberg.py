@@ -53,8 +53,7 @@ def newton_candidates(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     dampings: Float[Array, " c"] | tuple[float, ...],
 ) -> Float[Array, "c m"]:
-    """Returns the (c, m) end points of damped Newton steps, one per damping value, clipped to (m,
-    2) bounds.
+    """Returns the (c, m) ends of damped Newton steps, one per damping, clipped to (m, 2) bounds.
 
     Variables at a bound that the gradient pushes outwards are held fixed. An indefinite damped
     Hessian has no Cholesky factor, so its candidate and its cost are NaN.
@@ -71,8 +70,7 @@ def newton_candidates(
 
 
 def best_of(costs: Float[Array, " c"]) -> tuple[Array, Array]:
-    """Returns the index of the lowest finite cost, and that cost, which is infinite if no cost is
-    finite."""
+    """Index of the lowest finite cost, and that cost; infinite if no cost is finite."""
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     winner = jnp.argmin(costs)
     return winner, costs[winner]
@@ -85,8 +83,7 @@ def damped_newton(
     iterations: int,
     still: float = STILL,
 ) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
-    """Minimises a cost within bounds, with one evaluation of the derivatives per step. The cost
-    never increases.
+    """Minimises a cost within bounds; computes derivatives once per step. The cost never increases.
 
     This is Levenberg's method with several damping values in parallel. Where parts of the hand
     touch, the quadratic model changes from step to step, and so does the best damping.

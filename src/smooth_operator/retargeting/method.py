@@ -100,8 +100,7 @@ class Method(ABC):
         return None
 
     def with_pinch_gaps(self, state: Any, known: Mapping[str, float] | None) -> Any:
-        """Returns a state with known pinch gaps, given by finger [palm lengths]. With None, no gaps
-        are closed."""
+        """Returns a state with known pinch gaps by finger [palm lengths]; None disables closing."""
         del known
         return state
 
@@ -111,21 +110,18 @@ class Method(ABC):
         return fresh
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
-        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None for a method
-        without targets."""
+        """(F, 3) fingertip targets of the last frame, palm frame [m]; None without targets."""
         del state
         return None
 
     @property
     def trajectory_objective(self) -> Objective | None:
-        """Cost of each frame for trajectory optimisation; None if the method has no differentiable
-        cost."""
+        """Cost of each frame for trajectory optimisation; None without a differentiable one."""
         return None
 
 
 class MethodConfig(ABC):
-    """Base class of the settings of a method. Subclasses are frozen dataclasses with a field
-    ``alignment``."""
+    """Base class of a method's settings: frozen dataclasses with a field ``alignment``."""
 
     alignment: AlignmentConfig
     """Alignment of landmarks to the palm frame."""
@@ -139,14 +135,12 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """True if the method's compiled programs run faster on one thread than with one thread per
-        core."""
+        """True if compiled programs run faster on one thread than on one thread per core."""
         return True
 
     @abstractmethod
     def build(self, hand: Hand) -> Method:
-        """Builds the method for one hand. Raises SmoothOperatorError if it can't be used with the
-        hand."""
+        """Builds the method for one hand; SmoothOperatorError if it can't be used with the hand."""
 
     def with_alignment(self: C, **changes: Any) -> C:
         """Returns these settings with some fields of ``AlignmentConfig`` replaced; ConfigError if a
@@ -156,8 +150,7 @@ class MethodConfig(ABC):
         return cast(C, dataclasses.replace(changed, alignment=alignment))
 
     def with_file(self: C, path: Path) -> C | None:
-        """Returns these settings with another file, such as a trained model; None if they use no
-        file."""
+        """Returns these settings with another file, such as a model; None if they use no file."""
         del path
         return None
 
@@ -168,8 +161,7 @@ class MethodConfig(ABC):
 
 
 class ObjectiveMethodConfig(MethodConfig):
-    """Settings of a method that minimises the objective in the Smooth Operator paper, Eq. (1); they
-    have a field ``objective``."""
+    """Settings of a method that minimises an ``Objective``; they have a field ``objective``."""
 
     objective: TermsConfig
     """Targets and weights of Eq. (1)."""

@@ -186,8 +186,8 @@ class VectorTerm(PointTerm):
 
     @cached_property
     def which(self) -> slice:
-        """The vectors of ``part``. Raises ConfigError if they are not the keyvectors of the Smooth
-        Operator paper."""
+        """The vectors of ``part``; ConfigError if they are not keyvectors of a
+        ``KeyvectorLayout``."""
         if self.part == "all":
             return slice(None)
         if not isinstance(self.layout, KeyvectorLayout):
@@ -215,8 +215,7 @@ class VectorTerm(PointTerm):
 
 @dataclass(frozen=True, eq=False)
 class Keyvectors(VectorTerm):
-    """First term of Eq. (1) in the Smooth Operator paper: the sum over k of lambda_k smooth-L1(v_R
-    - v_H), component by component.
+    """Cost term: sum over vectors k of lambda_k smooth-L1(v_R - v_H), component by component.
 
     Attributes:
         transition: error at which smooth-L1 changes from quadratic to linear [m].
@@ -230,8 +229,7 @@ class Keyvectors(VectorTerm):
         return weight * (x + y + z)
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
-        """Returns costs and derivatives, as ``VectorTerm.slopes`` does; exact except at the kinks
-        of smooth-L1."""
+        """Returns costs and derivatives; exact except at the kinks of smooth-L1."""
         weights = jnp.asarray(goal.weights)[:, None]
         cost, first, second = smooth_l1(errors, self.transition)
         return Derivatives((weights * cost).sum(), weights * first, weights * second)
@@ -248,8 +246,7 @@ def smooth_l1(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind, AnyKind]
 
 @dataclass(frozen=True)
 class TermsConfig:
-    """Settings of the objective of ``smooth``. ``ObjectiveConfig`` has all settings of Eq. (1) in
-    the Smooth Operator paper.
+    """Settings of the objective of ``smooth``; ``ObjectiveConfig`` has further ones for ``sbr``.
 
     Attributes:
         targets: the target policy.
@@ -265,12 +262,11 @@ class TermsConfig:
         check_numbers(self)
 
     def keyvectors(self, layout: VectorLayout) -> Keyvectors:
-        """Builds the keyvector term, the first term of the paper's Eq. (1)."""
+        """Builds the keyvector term of the objective."""
         return Keyvectors(layout, TRANSITION)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
-        """Builds the pull to this neutral pose [rad] and the velocity term, the second and third
-        terms of the paper's Eq. (1)."""
+        """Builds the pull to this neutral pose [rad] and the velocity term."""
         pose = Pull(lambda _: (self.pose_weight, neutral))
         return pose, Pull(lambda goal: (goal.velocity_weight, goal.previous))
 
@@ -291,8 +287,7 @@ class Objective:
 
     @cached_property
     def layout(self) -> VectorLayout:
-        """Vectors that the target policy uses. Raises ConfigError if the hand lacks a point of one
-        of them."""
+        """Vectors that the target policy uses; ConfigError if the hand lacks a point of one."""
         layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
         keypoints = self.hand.tree.keypoints
         lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in keypoints]
@@ -307,19 +302,17 @@ class Objective:
 
     @cached_property
     def keyvectors(self) -> Keyvectors:
-        """The keyvector term, the first term of the paper's Eq. (1)."""
+        """The term on keyvectors, the first term of Eq. (1)."""
         return self.config.keyvectors(self.layout)
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
-        """Terms on the positions of points: keyvectors, then terms that the method and the preset
-        add."""
+        """Terms on positions of points: keyvectors, then those of the method and the preset."""
         return (self.keyvectors, *(one for one in self._own if isinstance(one, PointTerm)))
 
     @cached_property
     def joint_terms(self) -> tuple[JointTerm, ...]:
-        """Terms on joints: neutral pose and velocity, then terms that the method and the preset
-        add."""
+        """Terms on joints: neutral pose, velocity, then those of the method and the preset."""
         pulls = self.config.pulls(self.hand.neutral)
         return (*pulls, *(one for one in self._own if isinstance(one, JointTerm)))
 
@@ -329,8 +322,7 @@ class Objective:
         return tuple(term for term in terms if not term.is_off)
 
     def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
-        """Sum of the terms on joints, at (..., m) positions of the actuated joints [rad]; NumPy or
-        JAX."""
+        """Sum of the terms on joints at (..., m) actuated joint positions [rad]; NumPy or JAX."""
         every = zip(*(term.expand(q, goal) for term in self.joint_terms), strict=True)
         return Derivatives(*(functools.reduce(operator.add, parts) for parts in every))
 
@@ -354,9 +346,9 @@ class Objective:
 
     @cached_property
     def value_grad_hess(self) -> Callable[[Array, FrameGoal], tuple[Array, Array, Array]]:
-        """Function that returns the value, the (m,) gradient and the (m, m) Hessian at an (m,)
-        pose, summed over the terms. The derivatives of Eq. (1) are exact, except at the kinks of
-        smooth-L1. A program traces the function once."""
+        """Function from an (m,) pose to value, gradient (m,) and Hessian (m, m) of the sum of
+        terms. Those of Eq. (1) are exact, except at the kinks of smooth-L1. A program traces the
+        function once."""
         return jax.jit(self._expand)
 
     def _expand(self, q: Array, goal: FrameGoal) -> tuple[Array, Array, Array]:

@@ -1,5 +1,4 @@
-"""Estimates, during use, the gaps that a tracker reports when thumb and finger touch, and closes
-them.
+"""Estimates and closes, during use, the gaps that a tracker reports when thumb and finger touch.
 
 The hand model of a camera tracker keeps touching fingertips centimetres apart. The gap differs
 between fingers but is similar for all people. Contact can't be measured directly, but a thumb that
@@ -66,8 +65,7 @@ class PinchGapState(NamedTuple):
 
     @classmethod
     def of(cls, fingers: tuple[str, ...], known: Mapping[str, float] | None) -> PinchGapState:
-        """Returns the state before the first frame, for the fingers of a hand, thumb first; see
-        ``check_gaps``.
+        """State before the first frame, for the fingers of a hand, thumb first; see ``check_gaps``.
 
         Args:
             known: known gaps of the tracker or the operator, by finger; None closes no gaps.
@@ -95,8 +93,7 @@ class PinchGapEstimate:
     def step(
         self, state: PinchGapState, aligned: Float[Array, "21 3"], clock: FrameClock
     ) -> tuple[PinchGapState, Float[Array, "21 3"]]:
-        """Returns the state after a frame, and the frame's landmarks with pinches closed;
-        traceable.
+        """Returns the state after a frame, and its landmarks with pinches closed; traceable.
 
         A distance d is shortened by the fraction s min(1, g' / d)^p, where the largest distance of
         a contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. It falls

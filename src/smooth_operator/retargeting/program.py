@@ -74,8 +74,7 @@ class StateLayout:
         return cls(structure, tuple(map(np.shape, leaves)), kinds)
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
-        """Packs the bits of all 32-bit leaves into one array; returns it and the other leaves.
-        NumPy or JAX."""
+        """Packs all 32-bit leaves into one array; returns it and the other leaves. NumPy or JAX."""
         leaves = [*zip(jax.tree.leaves(state), self.kinds, strict=True)]
         words = [(leaf, kind) for leaf, kind in leaves if kind in _WORDS]
         xp = array_namespace(*(leaf for leaf, _ in words))
@@ -267,9 +266,8 @@ LONGEST_TICKS: Final = 2**31 - 1
 
 
 def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
-    """Converts a timestamp to the program's time: microseconds modulo 2^32, whose differences are
-    exact, unlike those of float32. A timestamp that is not finite counts as 0, and a step back in
-    time as -1 tick.
+    """Time of a frame for the program: microseconds modulo 2^32, whose differences are exact,
+    unlike those of float32. A timestamp that is not finite counts as 0, a step back as -1 tick.
 
     Args:
         answered: timestamp [s] and ticks of the last frame with a command; None for the first.
