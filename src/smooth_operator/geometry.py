@@ -18,8 +18,7 @@ AnyKind = TypeVar("AnyKind", Array, np.ndarray)
 
 
 def array_namespace(*arrays: Any) -> ModuleType:
-    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one is a JAX array, else
-    ``numpy``."""
+    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one is from JAX, else NumPy."""
     return jnp if any(isinstance(a, Array) for a in arrays) else np
 
 

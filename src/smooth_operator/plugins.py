@@ -166,9 +166,8 @@ class Registry(Mapping[str, Entry]):
         return (target[0], after[1:]) if not after or after[0] in ":," else (name, rest)
 
     def find(self, name: str) -> Entry:
-        """Returns the entry with this name, or the one at ``package.module:attribute``;
-        UnknownNameError if there is none, ConfigError if it belongs to a distribution that is not
-        installed."""
+        """Returns the entry with this name or at ``package.module:attribute``; UnknownNameError if
+        there is none, ConfigError if it belongs to a distribution that is not installed."""
         if name in self:
             return self[name]
         if is_target(name):
@@ -178,8 +177,7 @@ class Registry(Mapping[str, Entry]):
         raise UnknownNameError(self.kind, name, self)
 
     def load(self, name: str) -> Any:
-        """Imports and returns the object with a name; raises the errors of ``find`` and
-        ``Entry.load``."""
+        """Imports and returns the object of this name; raises as ``find`` and ``Entry.load`` do."""
         entry = self.find(name)
         if name in self:
             return entry.load()
@@ -202,8 +200,7 @@ class Registry(Mapping[str, Entry]):
         return parts
 
     def check(self, name: str, part: object) -> None:
-        """Raises ConfigError for an abstract class, or an object that lacks an attribute in
-        ``needs``."""
+        """Raises ConfigError for an abstract class or for an object that lacks one of ``needs``."""
         missing = (
             sorted(getattr(part, "__abstractmethods__", ()))
             if isinstance(part, type)

@@ -131,8 +131,7 @@ class PointKinematics:
         return PointMotion(points, jnp.where(slide, 0.0, axes), speeds)
 
     def jacobian(self, motion: PointMotion, of: slice | np.ndarray = slice(None)) -> Array:
-        """(F, J, 3) derivatives dp_f/dq_j [m/rad] of some or all points, zero where joint j does
-        not move point f."""
+        """(F, J, 3) dp_f/dq_j [m/rad] of some or all points, zero where joint j does not move f."""
         axes, points = motion.hinge_axes, motion.points[of]
         result = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], result, 0.0)

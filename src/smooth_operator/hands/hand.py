@@ -163,8 +163,7 @@ class Hand:
 
     @cached_property
     def joint_limits(self) -> Float[np.ndarray, "n 2"]:
-        """(n, 2) limits of all joints [rad], coupled ones included; infinite if a joint has
-        none."""
+        """(n, 2) limits of all joints [rad], coupled ones included; infinite if unlimited."""
         return self.tree.limits
 
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:

@@ -72,8 +72,8 @@ class ModelFiles:
 
 def model_path(path: Path) -> Path:
     """The absolute path of a model file, without ``..``; HandModelError if it is not UTF-8. Links
-    to its folder are followed. A link to the file itself is not, because meshes lie beside the
-    link."""
+    to its folder are followed; a link to the file is not, because its meshes lie beside the link.
+    """
     whole = Path(os.path.realpath(path.parent), path.name)
     try:
         str(whole).encode("utf-8")
@@ -85,9 +85,8 @@ def model_path(path: Path) -> Path:
 
 
 def read_model_files(path: Path) -> ModelFiles:
-    """Reads an MJCF or URDF file and finds the files that it names. Raises HandModelError if there
-    is no such file, if its path is not UTF-8, or if it names a pipe, a device or more than
-    ``MOST_NAMES`` files."""
+    """Reads an MJCF or URDF file and finds the files that it names; HandModelError if it does not
+    exist, its path is not UTF-8, or it names a pipe, a device or more than ``MOST_NAMES`` files."""
     reader = _Reader(model_path(path))
     for document in reader.pending:  # grows during the loop
         reader.read(document)

@@ -47,8 +47,7 @@ class PoseTable:
         return poses.astype(np.float32), np.moveaxis(tips, 1, 0).astype(np.float32)
 
     def nearest(self, places: Float[Array, "F 3"]) -> tuple[Float[Array, " m"], Float[Array, " F"]]:
-        """(m,) joint positions that bring the tips nearest to (F, 3) targets [rad], (F,) distances
-        [m].
+        """(m,) joint positions [rad] with tips near (F, 3) targets [m], and (F,) distances [m].
 
         Traceable. Each finger comes from the pose of the table whose fingertip is nearest to its
         target. A joint of two fingers comes from the first; a joint of no finger stays neutral.

@@ -269,8 +269,7 @@ class HandCheck:
 def wrong_order(
     points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...], believed: bool = False
 ) -> Doubt | None:
-    """Problem with the order of the points. If the stated order is believed, only their kind (3D or
-    picture) is checked."""
+    """Problem with the order of the points; if the order is believed, only with their kind."""
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
         if of_a_picture(points[:, list(stated)]):
             return OF_A_PICTURE

@@ -139,8 +139,7 @@ class Entries:
 
     @contextmanager
     def name_file(self) -> Iterator[None]:
-        """Converts this package's errors in the block to ``refuse``, and adds the name of the
-        file."""
+        """Converts this package's errors in the block to ``refuse``, with the file's name added."""
         try:
             yield
         except SmoothOperatorError as error:

@@ -47,8 +47,8 @@ def palm_alignment(
 
 
 def palm_range(hand: Hand) -> tuple[float, float]:
-    """Plausible range [m] of the distance from wrist to middle MCP in a frame. It covers human
-    hands and the robot's own palm, with a margin of a quarter for the scatter of frames."""
+    """Plausible range [m] of the distance from wrist to middle MCP in a frame: that of human hands
+    and of the robot's own palm, with a margin of a quarter for the scatter of frames."""
     knuckles = reference_landmarks(hand)[list(BASES[1:])] - hand.wrist
     own = float(np.linalg.norm(knuckles, axis=1).max())
     return 0.8 * min(PALM_RANGE_M[0], own), 1.25 * max(PALM_RANGE_M[1], own)

@@ -186,8 +186,7 @@ class VectorTerm(PointTerm):
 
     @cached_property
     def which(self) -> slice:
-        """The vectors of ``part``; ConfigError if they are not keyvectors of a
-        ``KeyvectorLayout``."""
+        """The vectors of ``part``; ConfigError if these are not from a ``KeyvectorLayout``."""
         if self.part == "all":
             return slice(None)
         if not isinstance(self.layout, KeyvectorLayout):
@@ -341,14 +340,13 @@ class Objective:
 
     @cached_property
     def kinematics(self) -> PointKinematics:
-        """Kinematics of the points of all terms. A point that several terms use may occur twice."""
+        """Kinematics of the points of all terms; a point that several terms use may occur twice."""
         return PointKinematics(self.tree, sum(self._groups, ()))
 
     @cached_property
     def value_grad_hess(self) -> Callable[[Array, FrameGoal], tuple[Array, Array, Array]]:
-        """Function from an (m,) pose to value, gradient (m,) and Hessian (m, m) of the sum of
-        terms. Those of Eq. (1) are exact, except at the kinks of smooth-L1. A program traces the
-        function once."""
+        """Value, (m,) gradient and (m, m) Hessian at an (m,) pose, summed over the terms. Those of
+        Eq. (1) are exact, except at the kinks of smooth-L1. A program traces the function once."""
         return jax.jit(self._expand)
 
     def _expand(self, q: Array, goal: FrameGoal) -> tuple[Array, Array, Array]:

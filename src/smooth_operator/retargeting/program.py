@@ -198,15 +198,15 @@ def align_frame(
 
 
 def packed_result(*parts: Array | np.ndarray | float) -> Array:
-    """Packs the result of a frame into one array, because reading several arrays takes longer."""
+    """Packs the result of a frame into one array, because reading several takes longer."""
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 
 def frame_program(
     method: Method, config: MethodConfig, cache: ProgramCache | None = None
 ) -> Program:
-    """Creates the program of one frame. It is compiled at its first call, after it was traced or
-    read from a cache. Raises ConfigError if the method's ``step`` takes other arguments."""
+    """Creates the program of one frame, which is traced or read from a cache, and compiled, at its
+    first call. Raises ConfigError if the method's ``step`` takes other arguments."""
     compiling = functools.partial(
         CompiledProgram,
         hand=method.hand,
