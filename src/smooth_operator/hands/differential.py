@@ -169,8 +169,8 @@ def linear_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
-    """Computes ``values @ matrix`` for a constant (J, m) matrix with few nonzero entries per
-    column, as sums, without a call of XLA's library."""
+    """``values @ matrix`` for a constant (J, m) matrix with few entries per column, without XLA's
+    BLAS."""
     most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
     rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # nonzero entries first
     gains = np.take_along_axis(matrix, rows, axis=0)

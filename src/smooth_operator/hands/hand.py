@@ -167,8 +167,8 @@ class Hand:
         return self.tree.limits
 
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
-        """Converts (..., m) positions of the actuated joints [rad] to (..., n) positions of all
-        joints [rad], in the order of ``joint_names``."""
+        """(..., n) positions of all joints [rad] in the order of ``joint_names``, from (..., m)
+        positions of the actuated joints [rad]."""
         return self.transmission.positions(q)
 
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:

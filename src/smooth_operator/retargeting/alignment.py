@@ -39,8 +39,8 @@ class AlignmentConfig:
 def palm_alignment(
     landmarks: AnyKind, hand: Hand, config: AlignmentConfig = AlignmentConfig()
 ) -> Similarity[AnyKind]:
-    """Computes the similarity transform from (..., 21, 3) human landmarks [m] to the robot's palm;
-    NumPy or JAX. A ``condition`` below ``MIN_CONDITION`` means that the palm is degenerate."""
+    """Similarity from (..., 21, 3) human landmarks [m] to the robot's palm; NumPy or JAX. A
+    ``condition`` below ``MIN_CONDITION`` means that the palm is degenerate."""
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
     return umeyama(source, np.broadcast_to(target, source.shape), config.scale)
