@@ -162,15 +162,14 @@ def moments(points: Float[Array, "F 3"], gradient: Float[Array, "F 3"]) -> Float
 
 
 def linear_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
-    """Computes A q + b of the hand's ``Transmission`` at one pose, as sums; traceable. ``curved``
-    converts the result to the positions of all joints."""
+    """A q + b of the hand's ``Transmission`` at one pose, as sums; ``curved`` takes it;
+    traceable."""
     transmission = hand.transmission
     return contracted(q, transmission.matrix.T) + transmission.offset.astype(q.dtype)
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
-    """``values @ matrix`` for a constant (J, m) matrix with few entries per column, without XLA's
-    BLAS."""
+    """``values @ matrix`` as sums, for a constant (J, m) matrix with few entries per column."""
     most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
     rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # nonzero entries first
     gains = np.take_along_axis(matrix, rows, axis=0)
