@@ -1,4 +1,4 @@
-"""Checks of settings: frame rates, and numbers that JAX may trace, for example while tuning."""
+"""Checks settings, such as frame rates; numbers may be traced by JAX, for example while tuning."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ LARGEST: Final = 1e9
 
 
 def check_frame_rate(rate: float | None) -> None:
-    """ConfigError for a frame rate outside ``RATE_RANGE_HZ`` [Hz]; None is accepted."""
+    """Raises ConfigError for a frame rate outside ``RATE_RANGE_HZ`` [Hz]; None is accepted."""
     low, high = RATE_RANGE_HZ
     if rate is not None and not low <= rate <= high:
         raise ConfigError(f"rate must be {low:g} to {high:g} frames per second, not {rate:g}")
 
 
 def is_off(setting: object) -> bool:
-    """True for a plain zero; False for a value that JAX traces."""
+    """True if a setting is a plain zero; False for a value that JAX traces."""
     return isinstance(setting, int | float) and setting == 0
 
 
 def check_choice(config: object, name: str, options: Iterable[str]) -> None:
-    """ConfigError if a field of a configuration is not one of the allowed words."""
+    """Raises ConfigError if a field of a configuration is not one of the allowed words."""
     value, words = getattr(config, name), [repr(option) for option in options]
     if repr(value) not in words:
         raise ConfigError(f"{name} must be {' or '.join(words)}, not {value!r}")
 
 
 def check_range(name: str, value: object, low: float, high: float, unit: str = "") -> None:
-    """ConfigError for a number outside ``low`` to ``high``, or NaN; None and traced values are
-    accepted."""
+    """Raises ConfigError for a number that is NaN or outside ``low`` to ``high``; None and traced
+    values are accepted."""
     if isinstance(value, int | float) and not low <= value <= high:
         unit = f" {unit}" if unit else ""
         raise ConfigError(f"{name} must be {low:g} to {high:g}{unit}, not {value}")
@@ -50,7 +50,7 @@ def check_numbers(
     not_negative: Iterable[str] | None = None,
     finite: Iterable[str] = (),
 ) -> None:
-    """Check fields of a configuration. None and traced values are accepted.
+    """Checks fields of a configuration that hold numbers. None and traced values are accepted.
 
     No field may exceed ``LARGEST``: infinity can't be used for "no limit", because arithmetic with
     it ends in NaN.

@@ -1,4 +1,4 @@
-"""Clean shutdown on signals of the operating system: Ctrl-C, kill, a closed terminal."""
+"""Ends the program cleanly on operating-system signals: Ctrl-C, kill, a closed terminal."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _CLOSING: Final = (2, 5, 6)
 
 
 class Ending:
-    """Handler of signals that end the program: raises KeyboardInterrupt in the main thread, or
-    calls ``quit``.
+    """Signal handler that ends the program: raises KeyboardInterrupt in the main thread, or calls
+    ``quit``.
 
     A closed terminal sends several signals, and the clean-up that the first one starts must not be
     interrupted by the next one. Therefore, after the first signal, only another Ctrl-C raises.
@@ -54,7 +54,7 @@ class Ending:
 
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[Ending]:
-    """Handles ending signals inside the block, if it runs on the main thread.
+    """Handles signals that end the program while the block runs on the main thread.
 
     Signals that were ignored when the program started (``nohup``) stay ignored, except SIGINT.
     A nested block uses the same handler.
@@ -85,7 +85,7 @@ def ended_by_signals() -> Iterator[Ending]:
 
 
 def leave_to_parent() -> None:
-    """Ignore a terminal's signals in a child process, because the parent handles them."""
+    """Ignores a terminal's signals in a child process, because the parent handles them."""
     for number in ENDING:
         if number != signal.SIGTERM:
             signal.signal(number, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""Digests of the code that a result depends on."""
+"""Computes digests of the code on which a result depends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HOME: Final = Path(__file__).resolve().parent
 def code_digest(
     *names: str, home: Path = HOME, content: Callable[[Path], bytes] = Path.read_bytes
 ) -> str:
-    """SHA-256 of names and contents of some files and folders of this package.
+    """SHA-256 digest of the names and contents of some files and folders of this package.
 
     Args:
         names: paths relative to ``home``; a folder stands for all files below it, data included.

@@ -1,4 +1,4 @@
-"""Text for a terminal: control characters of foreign text are shown without effect.
+"""Makes untrusted text safe for a terminal: control characters are shown, not executed.
 
 Names of files, keys of messages and texts of recordings may hold control characters, which a
 terminal interprets as commands: they set its title, clear the screen, or hide earlier output.
@@ -23,7 +23,7 @@ def printable(text: str) -> str:
 
 
 def print_note(text: str) -> None:
-    """Print a line on standard error."""
+    """Prints a line on standard error."""
     print(printable(text), file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""The data types from tracker to robot: hand frames, recordings, joint commands, results.
+"""Data types from tracker to robot: hand frames, recordings, joint commands, results.
 
 Units are metres, seconds and radians; quaternions are wxyz. Arrays are NumPy's and not changed
 after construction.
@@ -23,8 +23,8 @@ Side: TypeAlias = Literal["right", "left"]
 
 
 def as_side(value: str) -> Side:
-    """Normalise a side label, ``right``/``R``/``RIGHT`` or ``left``/``L``/``LEFT``; ConfigError for
-    anything else."""
+    """Converts a side label, such as ``right``, ``R`` or ``LEFT``, to ``right`` or ``left``;
+    ConfigError for anything else."""
     sides = {label: name for name in get_args(Side) for label in (name, name[0])}
     try:
         return cast(Side, sides[value.strip().lower()])
@@ -33,7 +33,7 @@ def as_side(value: str) -> Side:
 
 
 class Status(enum.IntEnum):
-    """Status of a command. With every value except ``OK`` it repeats the last good command."""
+    """Status of a command. A command whose status is not ``OK`` repeats the last good command."""
 
     OK = 0
     INVALID_LANDMARKS = 1
@@ -127,7 +127,7 @@ class HandFrame:
 
     @property
     def time(self) -> float:
-        """Timestamp of the frame [s]; RecordingError without one."""
+        """Timestamp of the frame [s]; RecordingError if it has none."""
         if self.stamp is None:
             raise RecordingError(
                 "the hand frame has no timestamp; set the time of the measurement in "
@@ -138,7 +138,7 @@ class HandFrame:
 
 @dataclass(frozen=True, eq=False)
 class HandRecording:
-    """A sequence of hand frames of one hand, as arrays; indexing gives frames, slicing recordings.
+    """A sequence of frames of one hand, as arrays. Indexing gives frames; slicing gives recordings.
 
     Attributes:
         landmarks: (T, 21, 3) positions [m].
@@ -213,7 +213,7 @@ class HandRecording:
 
     @property
     def duration(self) -> float:
-        """Last timestamp minus first timestamp [s]."""
+        """Time from the first to the last timestamp [s]."""
         return float(self.stamps[-1] - self.stamps[0]) if len(self) else 0.0
 
 
@@ -322,8 +322,8 @@ def _set_optional(obj: HandFrame | HandRecording, *count: int) -> None:
 
 
 def unit_poses(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 7"]:
-    """Normalises the quaternions of poses; a pose with a number that is not finite or with a zero
-    quaternion becomes NaN."""
+    """Normalises the quaternions of poses. A pose with a number that is not finite, or with a zero
+    quaternion, becomes NaN."""
     size = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
     good = (size > 1e-6) & (size < 1e6) & np.isfinite(poses).all(axis=-1, keepdims=True)
     other = good & (np.abs(size - 1.0) > 1e-12)  # a unit one stays as it is, to the last bit

@@ -1,4 +1,4 @@
-"""Folders of this program among the user's caches and settings."""
+"""Folders of this program among the user's cache and settings folders."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def is_off() -> bool:
 
 
 def user_cache() -> Path:
-    """Folder of this program in the user's cache, which need not exist: ``SWITCH``, or that of
-    ``program_folder``."""
+    """This program's cache folder, which may not exist yet: the one that the environment variable
+    ``SWITCH`` names, otherwise ``program_folder("cache")``."""
     path = os.environ.get(SWITCH, "").strip()
     if path and path.lower() not in OFF:
         return Path(path).expanduser()
@@ -42,7 +42,7 @@ _PLACES: Final = {
 
 
 def program_folder(kind: Literal["cache", "settings"]) -> Path:
-    """Folder of this program among the user's caches or settings; it need not exist."""
+    """This program's folder among the user's caches or settings; it may not exist yet."""
     windows, roaming, mac, xdg, dotted = _PLACES[kind]
     home = Path.home()
     if sys.platform == "win32":

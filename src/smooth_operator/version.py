@@ -9,7 +9,8 @@ from smooth_operator.extras import DISTRIBUTION
 
 
 def package_version() -> str:
-    """Version of the installed distribution; ``0+unknown`` in a source tree without one."""
+    """Version of the installed distribution; ``0+unknown`` in a source tree that is not
+    installed."""
     try:
         return version(DISTRIBUTION)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Commands for a robot hand's wrist joints from the operator's wrist.
+"""Computes commands for a robot hand's wrist joints from the operator's wrist.
 
 A tracker measures the palm's orientation, not the angles of the wrist. Seen from the palm, the
 direction of the forearm has two angles, flexion and deviation, and pronation, which turns forearm
@@ -34,7 +34,7 @@ MOST_ALONG: Final = 0.9
 
 
 class WristSolver:
-    """Angles of a hand's wrist joints at which its palm sees the forearm in a given direction.
+    """Finds the wrist joint angles at which the forearm has a given direction relative to the palm.
 
     Args:
         hand: a robot hand with wrist joints.
@@ -69,7 +69,7 @@ class WristSolver:
                 )
 
     def angles(self, forearm: Float[np.ndarray, "3"]) -> Float[np.ndarray, " k"]:
-        """Angles of the wrist joints from their neutral positions [rad].
+        """Angles of the wrist joints relative to their neutral positions [rad].
 
         With one joint the direction is met as closely as that joint allows; with two exactly,
         by the second of the subproblems of Paden and Kahan (Murray, Li and Sastry, A Mathematical
@@ -113,7 +113,7 @@ def _turn(axis: _Vector, a: _Vector, b: _Vector) -> float:
 
 
 class WristFollower:
-    """Targets of a hand's wrist joints, from the operator's forearm or the poses of the wrist.
+    """Computes targets of a hand's wrist joints from the operator's forearm or wrist poses.
 
     With poses only, the reference is taken at the first pose and again after ``release``: there,
     the target is where the joints are, so that nothing jumps.
@@ -134,7 +134,7 @@ class WristFollower:
         self._world: object = None
 
     def release(self, positions: Float[np.ndarray, " k"]) -> None:
-        """Forget the reference, and hold the joints at their positions [rad]."""
+        """Forgets the reference, and holds the joints at their positions [rad]."""
         self.target, self._forearm = positions, None
 
     def follow(
@@ -143,7 +143,7 @@ class WristFollower:
         forearm: Float[np.ndarray, "3"] | None = None,
         world: object = None,
     ) -> None:
-        """Set the target from a pose of the wrist; a pose that is not valid changes nothing.
+        """Sets the target from a wrist pose; a pose that is not valid changes nothing.
 
         Args:
             wrist: pose of the human wrist; None if the tracker does not measure it.
@@ -168,7 +168,7 @@ class WristFollower:
 
 
 class PalmMotion:
-    """Poses of a hand's palm as its wrist joints move, relative to the palm at rest.
+    """Poses of a hand's palm, relative to the palm at rest, as its wrist joints move.
 
     Args:
         hand: the robot hand.
@@ -181,7 +181,8 @@ class PalmMotion:
         self._rest = self._pose()
 
     def at(self, positions: Float[np.ndarray, " k"]) -> Float[np.ndarray, "7"]:
-        """(7,) pose of the palm at (k,) positions of the wrist joints [rad]: x y z [m], wxyz."""
+        """(7,) pose of the palm at (k,) wrist joint positions [rad]: x y z [m], quaternion w x y
+        z."""
         self._data.qpos[self._joints] = positions
         return poses.relative(self._rest, self._pose())
 
@@ -193,7 +194,7 @@ class PalmMotion:
 def add_wrist_commands(
     commands: CommandTrajectory, recording: HandRecording, hand: Hand
 ) -> CommandTrajectory:
-    """Adds the wrist joints of a hand to the commands of its fingers.
+    """Adds commands for a hand's wrist joints to the commands of its fingers.
 
     Without directions of the forearm, the first valid wrist of the recording is the reference, at
     the neutral positions. A frame without a valid wrist repeats the last position. The limits of

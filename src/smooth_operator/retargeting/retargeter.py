@@ -125,8 +125,8 @@ class Retargeter:
 
     @property
     def compiled(self) -> bool:
-        """True if this process has computed a command with this hand and these settings, so that
-        the next frame does not compile."""
+        """True if this process has computed a command with this hand and these settings: the next
+        frame needs no compilation."""
         return self.shared.compiled.is_set()
 
     def __repr__(self) -> str:
@@ -135,7 +135,7 @@ class Retargeter:
         return f"{kind}({self.hand.name!r}, side={side!r}, {self._named})"
 
     def init(self, seed: int | None = None, before: RetargetState | None = None) -> RetargetState:
-        """The state before the first frame.
+        """Returns the state before the first frame.
 
         Args:
             seed: seed of the random numbers; None for the retargeter's own.
@@ -197,7 +197,7 @@ class Retargeter:
         self, state: RetargetState | None = None
     ) -> Float[np.ndarray, "F 3"] | None:
         """(F, 3) fingertip targets of the last frame in the palm frame [m], thumb first, of a state
-        or the internal one; None before the first frame or without fingertip targets."""
+        or of the internal one; None before the first frame or without fingertip targets."""
         state = self._state if state is None else state
         targets = self.method.fingertip_targets(state.method)
         if targets is None:
@@ -205,8 +205,8 @@ class Retargeter:
         return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
 
     def pinch_gaps(self, state: RetargetState | None = None) -> dict[str, float]:
-        """Estimated gaps that the tracker leaves when thumb and finger touch, by finger [palm
-        lengths], of a state or the internal one; without fingers whose gap is unknown."""
+        """Estimated gaps that the tracker reports between a touching thumb and finger, by finger
+        [palm lengths], of a state or of the internal one; unknown gaps are left out."""
         state = self._state if state is None else state
         gaps = self.method.pinch_gaps(state.method)
         found = () if gaps is None else np.asarray(gaps, float).tolist()
@@ -285,7 +285,7 @@ class Retargeter:
         return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
 
     def reset(self, seed: int | None = None) -> None:
-        """Resets the internal state: latches, random numbers, last command. Does not recompile."""
+        """Resets the internal state (latches, random numbers, last command) without recompiling."""
         self._state = self.init(seed)
         self._stamped = None
         self._input = HandCheck(self.hand.spec.side)
@@ -320,7 +320,7 @@ class Retargeter:
         seed: int | None = None,
         track: Callable[[Iterable[int]], Iterable[int]] | None = None,
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-        """Retargets a whole recording from a fresh state, frame by frame, like a live loop.
+        """Retargets a whole recording from a fresh state, frame by frame, as a live loop would.
 
         Args:
             seed: seed of the random numbers; None for the retargeter's own.
@@ -353,7 +353,7 @@ _lock = threading.Lock()
 
 
 class SharedProgram(NamedTuple):
-    """A compiled program with its method.
+    """A compiled program and the method that it computes.
 
     Attributes:
         method: the method that it was made from.
@@ -374,7 +374,7 @@ def shared_program(
     hand: Hand, config: MethodConfig, cache: ProgramCache | None = None
 ) -> SharedProgram:
     """Returns the program of a frame for a hand, or for its mirror image if the hand is described
-    as one. SmoothOperatorError if the method can't be used with the hand."""
+    as one; SmoothOperatorError if the method can't be used with the hand."""
     if not config.shareable:
         return _built(hand, config, False, cache)
     reflects = hand.spec.mirror

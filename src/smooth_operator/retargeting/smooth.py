@@ -120,7 +120,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         check_numbers(self, positive=("motion_speed", "iterations"))
 
     def build(self, hand: Hand) -> Smooth:
-        """The method for one hand."""
+        """Builds the method for one hand."""
         return Smooth(hand, self)
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
@@ -158,7 +158,7 @@ class SmoothState(NamedTuple):
 
 
 class Smooth(Method):
-    """``smooth`` for one hand.
+    """The method ``smooth`` for one hand.
 
     Attributes:
         hand: the robot hand.
@@ -192,7 +192,7 @@ class Smooth(Method):
 
     @property
     def needs(self) -> tuple[int, ...]:
-        """Wrist and fingertips."""
+        """Indices of the wrist and the fingertips."""
         return self.layout.landmarks
 
     def init(self, seed: int) -> SmoothState:
@@ -219,23 +219,23 @@ class Smooth(Method):
         return state.gaps.gap
 
     def with_pinch_gaps(self, state: SmoothState, known: Mapping[str, float] | None) -> SmoothState:
-        """Returns the state with known gaps; None disables the closing of gaps."""
+        """Returns the state with known gaps; None disables closing gaps."""
         return state._replace(gaps=PinchGapState.of(self.hand.fingers, known))
 
     def continued(self, fresh: SmoothState, before: SmoothState) -> SmoothState:
-        """Returns a fresh state with the gaps of an earlier one."""
+        """Returns a fresh state with the pinch gaps of an earlier state."""
         return fresh._replace(gaps=before.gaps)
 
     def fingertip_targets(self, state: SmoothState) -> Float[Array, "F 3"] | None:
-        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None without a
-        correspondence, and before the first frame."""
+        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None before the first
+        frame, and if the settings have no correspondence."""
         if not state.operator or not np.asarray(state.frames):
             return None
         return state.operator.places
 
     @property
     def trajectory_objective(self) -> Objective:
-        """The objective; with a known future, the filter is not needed."""
+        """The method's objective. The filter is left out, because the future is known."""
         return self.objective
 
     def step(
@@ -306,7 +306,7 @@ class Smooth(Method):
         forget: Bool[Array, ""],
         search: Bool[Array, ""],
     ) -> Float[Array, " m"]:
-        """Returns the (m,) solution of a frame; traceable.
+        """Solves one frame; returns (m,) joint positions; traceable.
 
         Normally, one descent starts from the last command. Without one, and shortly after a
         fingertip has jumped (``forget``), two descents without the terms about the past start from
@@ -343,8 +343,8 @@ class Smooth(Method):
 def frame_limits(
     hand: Hand, tips: Float[Array, "F 3"] | Float[np.ndarray, "F 3"]
 ) -> Float[Array, "m 2"] | Float[np.ndarray, "m 2"]:
-    """(m, 2) joint limits of a frame [rad], for (F, 3) human fingertips relative to the robot's
-    wrist [m]; traceable.
+    """(m, 2) joint limits for one frame [rad], given (F, 3) human fingertips relative to the
+    robot's wrist [m]; traceable.
 
     Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle. In
     between they bend backwards, and an optimiser that ends there can't bend them. If the human's

@@ -73,7 +73,7 @@ class FingertipTracking(VectorTerm):
     config: FingertipPositionConfig
 
     def slopes(self, errors: Float[Array, "F 3"], goal: FrameGoal) -> Derivatives:
-        """See ``VectorTerm``."""
+        """Returns costs and derivatives, as ``VectorTerm.slopes`` does."""
         squared = (errors * errors).sum(-1)
         share = 1 / (1 + squared / self.config.width**2)
         stiffness = self.config.weight / TRANSITION
@@ -103,7 +103,7 @@ def _turned(
 @dataclass(frozen=True, eq=False)
 class PadDirection(PointTerm):
     """Cost term that points the thumb's last segment, and so its pad, like the human's: weight
-    times one minus the cosine. The direction of the pad decides whether a held object rolls.
+    times one minus the cosine. The pad's direction decides whether a held object rolls.
 
     Attributes:
         hand: the robot hand.
@@ -115,17 +115,17 @@ class PadDirection(PointTerm):
 
     @property
     def is_off(self) -> bool:
-        """True without a weight, or for a hand without a landmark below the thumb's tip."""
+        """True if the weight is 0, or if the hand has no landmark below the thumb's tip."""
         return is_off(self.weight) or BELOW_THUMB_TIP not in self.hand.tree.names
 
     def points(self) -> tuple[str, ...]:
-        """The thumb's tip, and the joint below it."""
+        """Names of the thumb's tip and of the joint below it."""
         return self.hand.tip_names[self.hand.fingers.index("thumb")], BELOW_THUMB_TIP
 
     def expand(
         self, points: Float[Array, "2 3"], jacobian: Float[Array, "2 J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``; zero where the human's segment is unknown."""
+        """Returns cost and derivatives, which are 0 where the human's segment is unknown."""
         pad = jnp.full(3, jnp.nan) if goal.pad is None else goal.pad
         known = jnp.isfinite(pad).all()
         weight, aim = jnp.where(known, self.weight, 0.0), jnp.where(known, pad, 0.0)
@@ -141,7 +141,7 @@ SPREAD: Final = 0.2
 
 @dataclass(frozen=True, eq=False)
 class FingerSpread(JointTerm):
-    """Cost term on long fingers that spread far: weight times the squared excess over ``SPREAD``.
+    """Cost term on long fingers that spread far: weight times squared excess over ``SPREAD``.
 
     The tip of a bent finger hardly moves with the joint that spreads it, so a joint with a wide
     range, as LEAP's of 1.05 rad, would drift to its limit, and an opening finger would jump.
@@ -156,7 +156,7 @@ class FingerSpread(JointTerm):
 
     @property
     def is_off(self) -> bool:
-        """True without weight, or if no finger can spread that far."""
+        """True if the weight is 0, or if no finger can spread that far."""
         return is_off(self.weight) or not self._weights.any()
 
     @cached_property
@@ -166,7 +166,7 @@ class FingerSpread(JointTerm):
         return weights.astype(np.float32)
 
     def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> Derivatives:
-        """See ``JointTerm``."""
+        """Returns cost and derivatives, as ``JointTerm.expand`` does."""
         off, weights = q - self.hand.neutral.astype(np.float32), self._weights
         excess = off - off.clip(-SPREAD, SPREAD)
         return Derivatives(
@@ -176,8 +176,8 @@ class FingerSpread(JointTerm):
 
 @dataclass(frozen=True)
 class DirectionLengthConfig:
-    """Settings of the direction and length cost. The cost of length is linear beyond
-    ``huber_width``, so that the force that closes a pinch is bounded.
+    """Settings of the direction and length cost. The length cost is linear beyond ``huber_width``,
+    so that the force that closes a pinch is bounded.
 
     Attributes:
         direction: cost of one minus the cosine between a vector and the human's; 0 disables it.
@@ -212,7 +212,7 @@ class DirectionLength(VectorTerm):
     config: DirectionLengthConfig
 
     def slopes(self, errors: Float[Array, "P 3"], goal: FrameGoal) -> Derivatives:
-        """See ``VectorTerm``."""
+        """Returns costs and derivatives, as ``VectorTerm.slopes`` does."""
         config, targets = self.config, jnp.asarray(goal.vectors)[self.which]
         # error + target, not the vectors themselves: a compiler shares the error with the keyvector
         # term, and the rounding decides when Newton steps stop
@@ -254,41 +254,41 @@ class SelfCollisionConfig:
 
 @dataclass(frozen=True, eq=False)
 class SelfCollision(PointTerm):
-    """Cost term on self-collision: squared depth of pairs of capsules within the margin."""
+    """Cost term on self-collision: squared depth of capsule pairs within a safety margin."""
 
     hand: Hand
     config: SelfCollisionConfig
 
     @cached_property
     def pairs(self) -> CapsulePairs:
-        """The P pairs of parts that could touch."""
+        """The P pairs of capsules that could touch."""
         return capsule_pairs(self.hand)
 
     @cached_property
     def carried(self) -> Float[np.ndarray, "P J"]:
-        """Joints that carry only the first capsule of each pair (1), or only the second (-1)."""
+        """Joints that move only the first capsule of each pair (1) or only the second one (-1)."""
         moves = PointKinematics(self.pairs.tree, self.pairs.names[::2]).moves.astype(np.float32)
         first, second = self.pairs.pairs.T
         return np.asarray(moves[first] - moves[second])
 
     @property
     def is_off(self) -> bool:
-        """True without weight, or if no parts can touch."""
+        """True if the weight is 0, or if no parts can touch."""
         return is_off(self.config.weight) or len(self.pairs.pairs) == 0
 
     def points(self) -> tuple[str, ...]:
-        """First and second end of each capsule."""
+        """Names of the two ends of each capsule."""
         return self.pairs.names
 
     def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
-        """The ends of the capsules."""
+        """Positions of the capsules' ends, as ``PointTerm.own_points`` returns them."""
         return self.pairs.ends
 
     def expand(
         self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``. Nearest points are held fixed on their segments, so only the first
-        derivative is exact."""
+        """Returns cost and derivatives. Nearest points are held fixed on their segments, so only
+        the first derivative is exact."""
         pairs, config = self.pairs, self.config
         ends = points.reshape(-1, 2, 3)[pairs.pairs]
         one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))

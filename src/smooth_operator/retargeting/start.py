@@ -1,4 +1,4 @@
-"""Configures JAX in a process that you own, and finds the folder for its compiled code."""
+"""Configures JAX in a process of your own, and finds the folder for its compiled code."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def start_jax(*, one_thread: bool = True) -> None:
 
 
 def jax_folder() -> Path | None:
-    """This user's folder for JAX's compilation cache, with machine code of this processor.
+    """This user's folder for JAX's compilation cache, with machine code for this processor.
 
     None if it is disabled (``SWITCH``) or there is no safe folder. Files that were not used for
     long are removed. The command enables it; your program may too (docs/reference/methods.md).
@@ -63,8 +63,8 @@ def jax_folder() -> Path | None:
 
 @functools.cache
 def machine() -> str:
-    """Digest of the processor's features and of jaxlib, for which machine code is valid. Several
-    machines may share a home folder."""
+    """Digest of the processor's features and of jaxlib, which determine whether machine code is
+    valid. Several machines may share a home folder."""
     features = [platform.system(), platform.machine(), version("jaxlib")]
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:

@@ -1,4 +1,4 @@
-"""Keyvectors; base class of the policies that set their targets; the policy of ``smooth``."""
+"""Keyvectors, the base class of target policies, and the target policy of ``smooth``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from smooth_operator.settings import check_numbers
 
 
 class VectorLayout(ABC):
-    """Vectors between landmarks for which a target policy sets targets.
+    """A list of vectors between landmarks for which a target policy sets targets.
 
     Subclasses define ``vectors``. The robot's points have the names of the landmarks.
     """
@@ -29,15 +29,15 @@ class VectorLayout(ABC):
     @property
     @abstractmethod
     def vectors(self) -> tuple[tuple[int | None, int], ...]:
-        """(K,) (from, to) landmark indices; None is the origin of the palm frame."""
+        """Landmark indices (from, to) of the (K,) vectors; None is the palm frame's origin."""
 
     @cached_property
     def landmarks(self) -> tuple[int, ...]:
-        """The landmarks that the vectors join, in the order in which they first appear."""
+        """Landmarks that the vectors join, in the order in which they first appear."""
         return tuple(dict.fromkeys(i for pair in self.vectors for i in pair if i is not None))
 
     def human(self, landmarks: AnyKind) -> AnyKind:
-        """(..., K, 3) the human's vectors [m], from (..., 21, 3) aligned landmarks [m]."""
+        """(..., K, 3) vectors of the human [m], from (..., 21, 3) aligned landmarks [m]."""
         return self.among(landmarks[..., list(self.landmarks), :])
 
     def among(self, points: AnyKind) -> AnyKind:
@@ -52,7 +52,7 @@ class VectorLayout(ABC):
 
 @dataclass(frozen=True)
 class KeyvectorLayout(VectorLayout):
-    """The paper's keyvectors; built from a hand's fingers, not listed.
+    """Keyvectors of the Smooth Operator paper, made from a hand's fingers rather than listed.
 
     Order: wrist to each tip (F), thumb tip to each other tip (F - 1), then tip to tip among the
     other fingers; 15 for five fingers, 6 for three. The wrist is the first landmark, then the tips.
@@ -67,13 +67,13 @@ class KeyvectorLayout(VectorLayout):
 
     @cached_property
     def vectors(self) -> tuple[tuple[int | None, int], ...]:
-        """(K,) (from, to) landmark indices."""
+        """Landmark indices (from, to) of the (K,) vectors."""
         every = tuple(combinations((WRIST, *tips_of(self.fingers)), 2))
         return every if self.between_fingers else every[: self.thumb.stop]
 
     @property
     def thumb(self) -> slice:
-        """The thumb-to-finger keyvectors."""
+        """Slice of the keyvectors from the thumb to the other fingers."""
         count = len(self.fingers)
         return slice(count, 2 * count - 1)
 
@@ -84,7 +84,7 @@ def tips_of(fingers: Sequence[str]) -> tuple[int, ...]:
 
 
 class Targets(NamedTuple):
-    """Targets of one frame.
+    """Target vectors of one frame and their weights.
 
     Attributes:
         vectors: (K, 3) target values of the robot's keyvectors [m].
@@ -100,18 +100,18 @@ StateT = TypeVar("StateT")
 
 
 class TargetPolicy(ABC, Generic[LayoutT, StateT]):
-    """Maps the human's vectors to the targets of the robot's, frame by frame.
+    """Computes targets for the robot's vectors from the human's vectors, frame by frame.
 
     Subclasses are frozen dataclasses; the memory between frames is a pytree of arrays.
     """
 
     @abstractmethod
     def layout(self, fingers: tuple[str, ...]) -> LayoutT:
-        """Vectors for which the policy sets targets, on a hand with these fingers."""
+        """Returns the vectors for which the policy sets targets on a hand with these fingers."""
 
     @abstractmethod
     def init(self, layout: LayoutT) -> StateT:
-        """The state before the first frame."""
+        """Returns the state before the first frame."""
 
     @abstractmethod
     def __call__(
@@ -128,7 +128,7 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
 
 @dataclass(frozen=True)
 class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
-    """Targets of ``smooth``: the human's vectors from the wrist and from the thumb's tip.
+    """Target policy of ``smooth``: targets are the human's vectors from wrist and thumb tip.
 
     The vectors from the thumb's tip have weight 0, because ``DirectionLength`` controls them.
 
@@ -148,11 +148,11 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
-        """The paper's keyvectors from the wrist and from the thumb's tip."""
+        """Returns the keyvectors from the wrist and from the thumb's tip."""
         return KeyvectorLayout(fingers, between_fingers=False)
 
     def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"]:
-        """The state before the first frame: all latches are open."""
+        """Returns the state before the first frame, in which all latches are open."""
         latches: Array = jax.device_put(np.zeros(len(layout.fingers) - 1, bool))
         return latches
 

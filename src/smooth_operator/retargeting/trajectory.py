@@ -18,7 +18,7 @@ SPEEDING: Final = 500.0
 
 @dataclass(frozen=True)
 class TrajectoryConfig:
-    """Weights of the costs of motion, relative to the cost of a frame.
+    """Weights of the costs of motion, relative to the cost of a single frame.
 
     Attributes:
         acceleration_weight: weight of squared joint acceleration [s^4/rad^2].
@@ -75,11 +75,11 @@ class TrajectoryMethodConfig(MethodConfig):
 
     @property
     def alignment(self) -> AlignmentConfig:  # type: ignore[override]
-        """Alignment of landmarks to the palm frame."""
+        """The alignment of landmarks that the frame-by-frame method uses."""
         return self.causal.alignment
 
     def build(self, hand: Hand) -> NoReturn:
-        """Raises ConfigError, because single frames can't be solved."""
+        """Always raises ConfigError, because single frames can't be solved."""
         raise ConfigError(
             "this preset uses the whole recording, including future frames, so it can't run "
             "frame by frame: use it with `smooth-operator retarget`, and choose another "
@@ -87,9 +87,9 @@ class TrajectoryMethodConfig(MethodConfig):
         )
 
     def with_alignment(self, **changes: Any) -> TrajectoryMethodConfig:
-        """These settings with another alignment of the frame-by-frame method."""
+        """Returns these settings with another alignment of landmarks."""
         return dataclasses.replace(self, causal=self.causal.with_alignment(**changes))
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
-        """Notes on what the frame-by-frame method lacks on a hand."""
+        """Notes on what a hand lacks for the frame-by-frame method."""
         return self.causal.notes(hand)

@@ -1,4 +1,4 @@
-"""Retargets a recording as a whole: smooth in both directions of time, and without lag.
+"""Retargets a recording as a whole, so that the result is smooth and has no lag.
 
 The frame-by-frame method selects the basin. From its results, all frames are solved together
 (``trajectory_solver``), with the cost of each frame and of the motion between frames. A frame
@@ -133,7 +133,7 @@ class TrajectoryRetargeter:
         )
 
     def warm_up(self) -> float:
-        """Compiles the frame-by-frame program, and returns the elapsed time [s]."""
+        """Compiles the frame-by-frame program, and returns the time that it took [s]."""
         return self.causal.warm_up()
 
     def run(
@@ -361,7 +361,7 @@ class TrajectoryRetargeter:
 
 def check_method(config: MethodConfig, hand: Hand) -> None:
     """Checks that a method can be used with a hand, frame by frame or for whole recordings;
-    SmoothOperatorError if it can't be used, for the given reason."""
+    SmoothOperatorError with the reason if it can't be used."""
     if isinstance(config, TrajectoryMethodConfig):
         _objective(config.causal.build(hand))
     else:
@@ -380,8 +380,8 @@ def _objective(method: Method) -> Objective:
 def goal_alone(
     objective: Objective, memory: Any, aligned: Float[Array, "21 3"]
 ) -> tuple[Any, FrameGoal]:
-    """Returns the target policy's state after a frame, and the goal of the frame without the terms
-    about the last command; traceable.
+    """Returns the target policy's state after a frame, and the frame's goal without the terms that
+    depend on the last command; traceable.
 
     Args:
         memory: state of the target policy before the frame.
@@ -399,7 +399,8 @@ def goal_alone(
 def joint_motion(
     hand: Hand, q: Float[Array, " m"]
 ) -> tuple[Float[Array, " n"], Float[Array, "n m"]]:
-    """Positions of all joints [rad], and derivatives by the actuated joints; traceable."""
+    """Positions of all joints [rad], and their derivatives with respect to the actuated joints;
+    traceable."""
     transmission = hand.transmission
     matrix, offset = (
         jnp.asarray(part, q.dtype) for part in (transmission.matrix, transmission.offset)
@@ -413,7 +414,8 @@ def joint_motion(
 def fingertips(
     hand: Hand, q: Float[Array, " m"]
 ) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 m"]]:
-    """Returns the fingertips at a pose [m] and their derivatives [m/rad]; traceable."""
+    """Fingertips at a pose [m], and their derivatives with respect to the joints [m/rad];
+    traceable."""
     joints, slopes = joint_motion(hand, q)
     kinematics = PointKinematics(hand.tree, hand.tip_names)
     motion = kinematics(joints)
@@ -436,7 +438,7 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def even_stamps(stamps: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Rounds times to an even grid of the median period, from 0 on [s]; lost frames count.
+    """Rounds times to an even grid of the median period, starting at 0 [s]; lost frames leave gaps.
 
     The clock of a tracker jitters although its frames are evenly spaced, and so would derivatives.
 
@@ -453,7 +455,7 @@ def even_stamps(stamps: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
 def segments(
     valid: Bool[np.ndarray, " T"], stamps: Float[np.ndarray, " T"], bridge: float
 ) -> list[slice]:
-    """Returns the stretches that begin and end with a valid frame and contain no long gap.
+    """Splits frames at long gaps into segments that begin and end with a valid frame.
 
     Args:
         valid: (T,) True for frames with a usable hand.
@@ -471,7 +473,7 @@ def segments(
 
 
 def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"]) -> float:
-    """Estimates a tracker's usual noise in a point's second difference [m].
+    """Estimates the usual noise of a tracker in the second difference of a point [m].
 
     It is the median over the points of a frame, and over time the squared mean of square roots,
     which single large errors hardly change.
@@ -490,7 +492,7 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " 
 def without_jumps(
     points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"], jump: float
 ) -> Float[np.ndarray, "T N 3"]:
-    """Removes jumps from points, without delay.
+    """Removes jumps from the motion of points, without delay.
 
     The points are filtered forwards and backwards in time, and the mean is used. Each filter
     follows only a fraction of a step, which falls with its length. Steady motion is as late in one
@@ -518,7 +520,7 @@ def without_jumps(
 
 
 def windows(count: int, size: int, ahead: int) -> list[tuple[int, int, int]]:
-    """Splits a stretch of frames into windows: (first frame, end of the result, end of the
+    """Splits a segment of frames into windows: (first frame, end of the result, end of the
     lookahead)."""
     parts = []
     for start in range(0, max(count, 1), size):
@@ -534,7 +536,8 @@ def windows(count: int, size: int, ahead: int) -> list[tuple[int, int, int]]:
 def hold(
     q: Float[np.ndarray, "T m"], stretches: list[slice], neutral: Float[np.ndarray, " m"]
 ) -> None:
-    """Holds the last pose between and after stretches, and the neutral pose before the first."""
+    """Fills the frames outside segments: the neutral pose before the first, and the last pose
+    after."""
     last, done = neutral, 0
     for stretch in [*stretches, slice(len(q), len(q))]:
         q[done : stretch.start] = last

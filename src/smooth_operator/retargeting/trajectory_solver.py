@@ -1,4 +1,5 @@
-"""Trajectory optimisation: minimises the costs of all frames of a recording and of their motion.
+"""Trajectory optimisation: minimises the costs of a recording's frames together with the cost of
+their motion.
 
 The objective over q(1) .. q(T) is::
 
@@ -41,7 +42,7 @@ _DAMPING_FIRST, _DAMPING_MOST = 1e-3, 1e8
 
 
 class ExtraTerms(Protocol):
-    """Additional costs of the frames, which may have their own variables.
+    """Additional costs of the frames, which may have additional variables.
 
     The variables x of a frame are the m joint positions [rad], then V more.
     """
@@ -52,15 +53,16 @@ class ExtraTerms(Protocol):
     """Their initial values."""
 
     def costs(self, x: Float[np.ndarray, "t v"], part: slice) -> FrameBlocks:
-        """Costs (t,), gradients (t, m + V) and Hessians of the frames of a part."""
+        """Costs (t,), gradients (t, m + V) and Hessians of the frames in one part of the
+        recording."""
 
     def settle(self, pose: Float[np.ndarray, "T V"]) -> None:
-        """Receives the solution."""
+        """Receives the solution when the optimisation has ended."""
 
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """Points of a pose whose motion follows given steps.
+    """Points of the robot that should move by given steps from frame to frame.
 
     Attributes:
         points: function from (T, m) poses to (T, P) coordinates and their derivatives (T, P, m).
@@ -74,7 +76,7 @@ class Led:
 
 
 class TrajectoryResult(NamedTuple):
-    """Result of the optimisation.
+    """Result of a trajectory optimisation.
 
     Attributes:
         q: (T, m) the poses, within the limits [rad].
@@ -98,7 +100,7 @@ def smooth_trajectory(
     fixed: int = 0,
     led: Led | None = None,
 ) -> TrajectoryResult:
-    """Minimises the objective within bounds, from a trajectory. The cost never increases.
+    """Minimises the objective within bounds, starting from a trajectory. The cost never increases.
 
     Args:
         frames: costs of the frames; zeros for a frame without a usable hand.
@@ -165,7 +167,7 @@ def smooth_trajectory(
 def motion_price(
     stamps: Float[np.ndarray, " T"], config: TrajectoryConfig
 ) -> Float[np.ndarray, "3 T"]:
-    """Returns the cost of acceleration as a quadratic form over the frames of a joint.
+    """Returns the cost of acceleration as a quadratic form over all frames of one joint.
 
     Returns:
         (3, T) lower diagonals of its matrix; [k, t] couples the frames t and t + k.

@@ -1,1 +1,1 @@
-"""Simulation of robot hands in MuJoCo, and the scenes of the study's tasks."""
+"""Simulates robot hands in MuJoCo, and the scenes of the user study's tasks."""

@@ -1,4 +1,4 @@
-"""A simulated camera: renders pictures of a simulated hand and its object."""
+"""A simulated camera that renders pictures of a simulated hand and its object."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ _TOO_COSTLY: Final = ("SHADOW", "REFLECTION")  # nine tenths of the time without
 
 @dataclass(frozen=True)
 class View:
-    """Position and direction of a camera; values of None follow from the hand and its task.
+    """Position and direction of a camera. Fields that are None are chosen from the hand and its
+    task.
 
     Attributes:
         azimuth: azimuth of the direction of view, in MuJoCo's convention [degrees].
@@ -78,7 +79,7 @@ class SimulatedCamera:
         self._camera.distance = distance if view.distance is None else view.distance
 
     def draw(self, qpos: Float[np.ndarray, " q"]) -> UInt8[np.ndarray, "h w 3"]:
-        """Renders a (height, width, 3) picture: red, green and blue.
+        """Renders a (height, width, 3) picture with the channels red, green and blue.
 
         Args:
             qpos: (q,) positions of the physics' model: joints and object.
@@ -92,7 +93,7 @@ class SimulatedCamera:
         return np.array(self._renderer.render())
 
     def close(self) -> None:
-        """Release the OpenGL context."""
+        """Releases the OpenGL context."""
         self._renderer.close()
 
 

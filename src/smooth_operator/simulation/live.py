@@ -1,4 +1,4 @@
-"""Interface of a running simulation of hands, for trials and pages."""
+"""Interface to a running simulation of hands, for trials and pages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
 
 
 class SimulatedHand(Protocol):
-    """State of a simulated hand."""
+    """State of a simulated hand at one moment."""
 
     @property
     def positions(self) -> Float[np.ndarray, " n"]:
@@ -26,7 +26,7 @@ class SimulatedHand(Protocol):
 
     @property
     def time(self) -> float:
-        """Time of the state, on the clock of the loop [s]."""
+        """Time of the state on the loop's clock [s]."""
 
 
 class LiveSimulation(Protocol):
@@ -38,7 +38,7 @@ class LiveSimulation(Protocol):
 
     @property
     def world_number(self) -> int:
-        """Number that changes with every new scene; 0 without a scene."""
+        """Number that changes whenever a new scene is loaded; 0 without a scene."""
 
     def state(self, side: Side) -> SimulatedHand | None:
         """Current state of a hand; None if there is no such hand. Safe from any thread."""
@@ -49,12 +49,11 @@ class LiveSimulation(Protocol):
         """
 
     def arm_base(self, side: Side) -> Matrix | None:
-        """Pose (4, 4) of the base of the arm that carries a hand, in the scene; None without an arm
-        or a task.
-        """
+        """Pose (4, 4) in the scene of the base of the arm that carries a hand; None without an arm
+        or a task."""
 
     def change_task(self, task: str) -> None:
-        """Replace the scene around the hands."""
+        """Replaces the scene around the hands."""
 
     def scene_of(self, side: Side) -> Scene:
         """The scene around a hand."""
@@ -66,13 +65,13 @@ class LiveSimulation(Protocol):
         """The robot hand of a side."""
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
-        """Call ``watcher`` after each step of the physics; None stops the calls."""
+        """Calls ``watcher`` after each step of the physics; None stops the calls."""
 
     def reset_object(self, side: Side) -> int:
-        """Put the object back where it started; returns the new world number."""
+        """Puts the object back where it started. Returns the new world number."""
 
     def freeze(self, side: Side, frozen: bool) -> None:
-        """Stop or resume the physics and the clock of a hand and its scene."""
+        """Stops or resumes the physics and the clock of a hand and its scene."""
 
     def put_away(self, side: Side) -> None:
-        """Remove the object until it is put back."""
+        """Removes the object until it is put back."""

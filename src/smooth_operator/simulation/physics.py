@@ -1,4 +1,4 @@
-"""A robot hand simulated in MuJoCo: joint commands in, joint positions out.
+"""Simulates a robot hand in MuJoCo: takes joint commands and returns joint positions.
 
 Models of hands are made for kinematics or for one vendor's simulator: most lack actuators, rotors
 or sensible damping. Therefore every hand gets the same kind of servo here. Its stiffness follows
@@ -54,7 +54,7 @@ parts.
 
 @dataclass(frozen=True, eq=False)
 class PhysicsModel:
-    """A compiled hand with servos.
+    """A compiled model of a hand with servos.
 
     Attributes:
         model: the model.
@@ -77,7 +77,7 @@ def build_physics(
     gravity: bool = False,
     furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
 ) -> PhysicsModel:
-    """Build a hand's model for physics.
+    """Builds a hand's model for physics.
 
     The palm is on a fixture; joints that are not the hand's, such as an arm's, are removed.
     Neighbouring bodies and bodies whose shapes overlap at rest do not collide.
@@ -201,7 +201,7 @@ def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
 def finger_bodies(
     hand: Hand, model: mujoco.MjModel, prefix: str = FURNISHED
 ) -> Int[np.ndarray, " b"]:
-    """(b,) number of the finger that each body belongs to, thumb first; -1 for all other bodies.
+    """(b,) index of the finger to which each body belongs, thumb first; -1 for all other bodies.
 
     Args:
         prefix: prefix of the hand's names in the model.
@@ -223,7 +223,7 @@ _RUNAWAY = 500.0
 
 
 class HandPhysics:
-    """A hand with position servos on a fixture. Not thread-safe.
+    """A simulated hand with position servos, mounted on a fixture. Not thread-safe.
 
     Args:
         hand: the robot hand.
@@ -284,7 +284,7 @@ class HandPhysics:
         return self._data
 
     def restart(self) -> None:
-        """Reset to time 0, at rest in the neutral pose."""
+        """Resets the hand to time 0, at rest in the neutral pose."""
         self.time = self._due = 0.0
         self.resets = 0
         self._target = self.hand.neutral.copy()
@@ -298,8 +298,7 @@ class HandPhysics:
 
     @property
     def arm_positions(self) -> Float[np.ndarray, " a"] | None:
-        """(a,) positions of the joints of the arm, or of the free wrist [rad or m]; None on a
-        fixture."""
+        """(a,) joint positions of the arm or of the free wrist [rad or m]; None on a fixture."""
         return None if self._arm is None else np.array(self._data.qpos[self._arm.qpos])
 
     @property
@@ -319,7 +318,8 @@ class HandPhysics:
 
     @property
     def finger_forces(self) -> Float[np.ndarray, " f"]:
-        """(f,) normal force on each finger, thumb first [N]: of objects, palm and other fingers."""
+        """(f,) normal force on each finger from objects, palm and other fingers, thumb first
+        [N]."""
         forces = np.zeros(len(self.hand.fingers) + 1)  # the last one: of all other bodies
         contacts, wrench = self._data.contact, np.zeros(6)
         owners = self._finger_of_geom[contacts.geom]
@@ -331,7 +331,7 @@ class HandPhysics:
         return forces[:-1]
 
     def command(self, positions: Float[np.ndarray, " n"]) -> None:
-        """Set the servos' targets.
+        """Sets the targets of the hand's servos.
 
         Args:
             positions: (n,) positions of all joints [rad]. Coupled joints follow their leaders. A
@@ -344,7 +344,7 @@ class HandPhysics:
         self._data.ctrl[self._built.controls] = self._target
 
     def command_arm(self, positions: Float[np.ndarray, " a"]) -> None:
-        """Set the targets of the arm's servos; does nothing without an arm.
+        """Sets the targets of the arm's servos; does nothing without an arm.
 
         Args:
             positions: (a,) targets [rad]. A value that is not finite leaves its target unchanged.
@@ -355,14 +355,14 @@ class HandPhysics:
             self._data.ctrl[self._arm.controls] = self._arm_target
 
     def hold(self) -> None:
-        """Make the current positions of hand and arm their targets."""
+        """Makes the current positions of hand and arm the targets of their servos."""
         self.command(self.positions)
         arm = self.arm_positions
         if arm is not None:
             self.command_arm(arm)
 
     def advance(self, seconds: float) -> bool:
-        """Simulate whole time steps; the remainder is added to the next call.
+        """Simulates whole time steps; the remainder is added to the next call.
 
         Args:
             seconds: simulated time to add [s].

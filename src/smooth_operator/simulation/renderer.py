@@ -1,4 +1,4 @@
-"""Renders pictures of a MuJoCo model without a window."""
+"""Renders pictures of a MuJoCo model without opening a window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ADVICE: Final = (
 
 
 def draw_off_screen() -> None:
-    """Makes MuJoCo draw by EGL or OSMesa on a Linux machine without a display.
+    """Makes MuJoCo draw with EGL or OSMesa on a Linux machine without a display.
 
     MuJoCo chooses its OpenGL backend when it is imported, so call this function before. A choice in
     the environment variable MUJOCO_GL is kept.
@@ -46,7 +46,7 @@ def _needs_a_display() -> bool:
 def open_renderer(
     model: mujoco.MjModel, width: int, height: int, *, most_shapes: int = 10000
 ) -> mujoco.Renderer:
-    """Opens a renderer for a model; the caller closes it.
+    """Opens a renderer for a model. The caller must close it.
 
     Args:
         model: the model; its off-screen buffer is enlarged to the size of the picture.

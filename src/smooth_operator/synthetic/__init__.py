@@ -1,4 +1,5 @@
-"""Synthetic operator: a parametric human hand that makes gestures, and a model of its tracker."""
+"""The synthetic operator: a parametric human hand that makes gestures, and a model of its
+tracker."""
 
 from smooth_operator.synthetic.gestures import GESTURES as GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator as SyntheticOperator

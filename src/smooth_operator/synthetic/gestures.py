@@ -1,4 +1,4 @@
-"""Gestures of the synthetic operator: minimum-jerk moves and random wandering in joint space.
+"""Gestures of the synthetic operator: minimum-jerk movements and random wandering in joint space.
 
 A minimum-jerk move (T. Flash and N. Hogan, "The Coordination of Arm Movements", Journal of
 Neuroscience 5(7), 1985) starts and ends without velocity and acceleration, so successive moves are
@@ -70,7 +70,8 @@ _LIMIT_MARGIN = np.deg2rad(1.0)
 
 @lru_cache(maxsize=64)
 def pinch_postures(seed: int) -> Float[np.ndarray, "4 16"]:
-    """Postures in which the thumb's tip meets that of index, middle, ring and pinky.
+    """Postures in which the tip of the thumb meets the tip of the index, middle, ring or pinky
+    finger.
 
     They follow from inverse kinematics of the person's own hand within the joint ranges: the
     finger's tip lies on the thumb's pad, 0.8 % of the hand length (1.5 mm) from the thumb's tip,
@@ -187,7 +188,7 @@ class Programme:
         self._now: Trajectory | None = None
 
     def at(self, times: Float[np.ndarray, " T"]) -> tuple[Float[np.ndarray, "T 16"], list[str]]:
-        """Free joint angles [rad] and name of the gesture at increasing times >= 0 [s].
+        """Free joint angles [rad] and the name of the gesture, at increasing times >= 0 [s].
 
         The times of each call must be later than those of the previous call.
         """
@@ -306,7 +307,8 @@ _PEAK_VELOCITY = 1.875
 
 @dataclass(frozen=True, eq=False)
 class Wander:
-    """Sines about a posture: ``sum_m amplitude * sin(2 pi frequency t + phase)`` per joint.
+    """Random motion about a posture, a sum of sines: ``sum_m amplitude * sin(2 pi frequency t +
+    phase)`` per joint.
 
     Attributes:
         amplitude: (16, M) amplitudes [rad].
@@ -323,7 +325,7 @@ class Wander:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A move between two postures, or a hold (equal postures), with optional wandering.
+    """A movement between two postures, or a hold (equal postures), with optional wandering.
 
     Attributes:
         label: name of its gesture.
@@ -351,7 +353,8 @@ def least_duration(
     ends: Float[np.ndarray, "16"],
     max_jerk: float,
 ) -> float:
-    """Shortest duration [s] of a move in which no joint's jerk exceeds ``max_jerk`` [rad/s^3]."""
+    """Shortest duration [s] of a movement in which no joint's jerk exceeds ``max_jerk``
+    [rad/s^3]."""
     alone = np.cbrt(_PEAK_JERK * np.abs(end - start) / max_jerk)
     return float((alone / (ends - begins)).max())
 
@@ -359,7 +362,7 @@ def least_duration(
 def draw_wander(
     rng: np.random.Generator, centre: Posture, reach: Posture, speed: float, max_jerk: float
 ) -> Wander:
-    """Draw random motion about a posture within the joint ranges and the jerk bound.
+    """Draws random motion about a posture, within the joint ranges and the jerk bound.
 
     The four PIPs and MCPs share part of their motion, as fingers of a hand do.
 
@@ -394,7 +397,7 @@ def draw_wander(
 
 
 class Trajectory:
-    """Successive segments as a function of time.
+    """Joint angles over time, made of successive segments.
 
     Args:
         segments: segments in order; each starts at the last posture of the previous one.
@@ -418,7 +421,7 @@ class Trajectory:
     def at(
         self, times: Float[np.ndarray, " T"]
     ) -> tuple[Float[np.ndarray, "T 16"], Int[np.ndarray, " T"]]:
-        """Free joint angles [rad] and index of the active segment at each time [s]."""
+        """Free joint angles [rad] and the index of the active segment at each time [s]."""
         which = np.searchsorted(self.starts[1:-1], times, side="right")
         share = (times - self.starts[which]) / self._duration[which]
         progress = (share[:, None] - self._begins[which]) / self._span[which]
@@ -433,7 +436,7 @@ class Trajectory:
 
 
 def minimum_jerk(progress: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Position from 0 to 1 of a minimum-jerk move; constant before 0 and after 1."""
+    """Position, from 0 to 1, of a minimum-jerk movement; constant before 0 and after 1."""
     s = np.clip(progress, 0.0, 1.0)
     position: np.ndarray = s**3 * (10.0 + s * (6.0 * s - 15.0))
     return position

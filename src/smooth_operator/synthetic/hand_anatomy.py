@@ -63,7 +63,7 @@ _LENGTH_LIMIT = 0.05
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint angle of the human hand with its active range.
+    """A joint angle of the human hand and its active range.
 
     Attributes:
         name: name, such as ``index_pip``.
@@ -112,7 +112,7 @@ UPPER: Float[np.ndarray, "20"] = np.array([joint.upper for joint in JOINTS])
 
 
 def couple(free: Float[np.ndarray, "*batch 16"]) -> Float[np.ndarray, "*batch 20"]:
-    """All 20 joint angles [rad] from the 16 free ones: each DIP is 2/3 of its PIP."""
+    """All 20 joint angles [rad] from the 16 free ones: each DIP angle is 2/3 of the PIP angle."""
     angles = np.zeros((*free.shape[:-1], NUM_JOINTS))
     angles[..., FREE] = free
     angles[..., _DIPS] = DIP_PER_PIP * angles[..., np.subtract(_DIPS, 1)]
@@ -121,7 +121,8 @@ def couple(free: Float[np.ndarray, "*batch 16"]) -> Float[np.ndarray, "*batch 20
 
 @dataclass(frozen=True, eq=False)
 class HandAnatomy:
-    """Lengths and layout of one right hand; positions are (palmar, radial, distal) from the wrist.
+    """Bone lengths and layout of one right hand; positions are (palmar, radial, distal) from the
+    wrist.
 
     Attributes:
         hand_length: distance from wrist to middle fingertip along the straight finger [m].
@@ -145,7 +146,8 @@ class HandAnatomy:
 
 
 def draw_anatomy(hand_length: float, seed: int) -> HandAnatomy:
-    """Draws the hand of a person by seed, with a given length from wrist to middle fingertip [m].
+    """Draws a person's hand, given by a seed, with a given length from wrist to middle fingertip
+    [m].
 
     The published proportions are varied by a few percent per bone, independently of the length."""
     unit = _unit_anatomy(seed)
@@ -216,9 +218,8 @@ class HandPoses:
 
 
 def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPoses:
-    """Computes poses of a right hand with the wrist at the origin, at (T, 20) joint angles [rad] in
-    the order of ``JOINTS``.
-    """
+    """Computes poses of a right hand with its wrist at the origin, from (T, 20) joint angles [rad]
+    in the order of ``JOINTS``."""
     count = len(angles)
     landmarks = np.zeros((count, 21, 3))
     orientations = np.empty((count, 21, 4))
@@ -257,8 +258,7 @@ def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPo
 
 def mirror(poses: HandPoses) -> HandPoses:
     """Mirrors poses to the other hand: y changes sign; joint frames keep x along the bone and z
-    dorsal.
-    """
+    dorsal."""
     points, quaternions = np.array([1.0, -1.0, 1.0]), np.array([1.0, -1.0, 1.0, -1.0])
     return HandPoses(
         poses.landmarks * points, poses.metacarpals * points, poses.orientations * quaternions
@@ -270,7 +270,7 @@ def move(
     translation: Float[np.ndarray, "T 3"],
     rotation_vector: Float[np.ndarray, "T 3"],
 ) -> HandPoses:
-    """Moves whole hands by (T, 3) rotations about the wrist (axis times angle [rad]) and
+    """Moves whole hands by (T, 3) rotations about the wrist (axis times angle [rad]) and by
     translations [m].
 
     The hands have the wrist at the origin."""
@@ -340,6 +340,6 @@ def _bone(q: np.ndarray) -> np.ndarray:
 
 
 def dorsal(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3"]:
-    """The z axis of a joint frame, which points to the nail's side, away from the pad."""
+    """The z axis of a joint frame, which points away from the pad, to the side of the nail."""
     w, x, y, z = np.moveaxis(q, -1, 0)
     return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], -1)

@@ -1,6 +1,5 @@
-"""The synthetic operator: a moving human hand, determined by a seed, that replaces a person and a
-tracker.
-"""
+"""The synthetic operator: a moving human hand, determined by a seed, in place of a person and a
+tracker."""
 
 from __future__ import annotations
 
@@ -101,7 +100,7 @@ class SyntheticOperator:
         return self.tracker.rate_hz if self.rate_hz is None else self.rate_hz
 
     def record(self, duration: float = 20.0) -> HandRecording:
-        """Make a recording that starts at time 0 with a flat hand.
+        """Makes a recording that starts at time 0 with a flat hand.
 
         A longer recording starts with the frames of a shorter one.
 

@@ -12,7 +12,7 @@ from smooth_operator.synthetic.hand_anatomy import NUM_JOINTS, draw_anatomy, mir
 
 
 def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T 21 3"]:
-    """Landmarks of a robot hand in the layout of a human hand, in the palm frame.
+    """Landmarks of a robot hand in the layout of a human hand, in the palm frame [m].
 
     A missing point of a robot finger is put on the line between its neighbours. A missing finger is
     taken from a flat synthetic hand that is aligned to the robot's palm. Methods do not use these

@@ -1,4 +1,4 @@
-"""Model of the synthetic operator's tracker (shake, delay, losses), and motion of the wrist."""
+"""Model of the synthetic operator's tracker (shake, delay, lost data), and of wrist motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from smooth_operator.settings import LARGEST, check_range
 
 
 def check_seed(name: str, value: int) -> None:
-    """ConfigError for a seed that is not a whole number of at least 0."""
+    """Raises ConfigError for a seed that is not a whole number of at least 0."""
     try:
         good = operator.index(value) >= 0
     except TypeError:
@@ -121,7 +121,7 @@ def tracker_model(
     landmark_loss: float = 0.0,
     rate_jitter: float | None = None,
 ) -> TrackerModel:
-    """Returns the tracker of a kind: ``glove``, ``headset`` or ``camera``.
+    """Returns the model of one kind of tracker: ``glove``, ``headset`` or ``camera``.
 
     Args:
         name: the kind; None for a perfect tracker at 100 Hz.
@@ -148,7 +148,7 @@ def tracker_model(
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """Imperfections at n successive ticks of the tracker's clock.
+    """Imperfections at n successive ticks of a tracker's clock.
 
     Attributes:
         model: the tracker.
@@ -193,7 +193,7 @@ def _move_fingertips(
 
 
 class TrackerStream:
-    """The endless sequence of ticks of a tracker.
+    """The endless sequence of a tracker's ticks.
 
     Args:
         model: imperfections of the tracker.
@@ -216,7 +216,7 @@ class TrackerStream:
         self._shake = _Autoregression(shake, model.shake, model.shake_time / self._period)
 
     def next(self, count: int) -> Ticks:
-        """The next ``count`` ticks."""
+        """Returns the next ``count`` ticks."""
         ticks = self._tick + np.arange(count, dtype=float)
         self._tick += count
         if self._model.rate_jitter:

@@ -1,4 +1,4 @@
-"""Cameras whose pictures the pages show, encoded as JPEG outside the loop's thread."""
+"""Cameras whose pictures the pages show. They are encoded as JPEG outside the loop's thread."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _WAIT_S: Final = 0.2
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """A camera for the pages.
+    """Settings of a camera that the pages show.
 
     Attributes:
         source: number of a camera, counted from 0; its device; the address of a stream, such as
@@ -150,7 +150,7 @@ class _Feed:
 
 
 class Cameras:
-    """The newest picture of each camera. Use it as a context manager, or call ``close``.
+    """Keeps the newest picture of each camera. Use it as a context manager, or call ``close``.
 
     A camera that is lost is opened again, once a second; meanwhile its last picture gets older.
 
@@ -179,7 +179,7 @@ class Cameras:
             opened.pop_all()
 
     def states(self, now: float, known: Sequence[int] | None = None) -> list[dict[str, Any]]:
-        """State of each camera, as JSON values.
+        """Returns the state of each camera as JSON values.
 
         Args:
             now: time by the loop's clock [s].
@@ -201,7 +201,7 @@ class Cameras:
         return states
 
     def shot(self, camera: int) -> Shot | None:
-        """The newest picture of a camera; None without a picture or such a camera."""
+        """The newest picture of a camera; None if there is no picture or no such camera."""
         return self._feeds[camera].shot if 0 <= camera < len(self._feeds) else None
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Creates sources and sinks from texts such as ``replay:glove.npz,speed=2``.
+"""Creates sources and sinks from strings such as ``replay:glove.npz,speed=2``.
 
 Sources and sinks are frozen dataclasses of settings in separate modules; a registry maps names to
 them.
@@ -36,7 +36,7 @@ _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
 def build_component(registry: Registry, text: str) -> Any:
-    """Create the source or sink that a string such as ``replay:FILE`` describes.
+    """Creates the source or sink that a string such as ``replay:FILE`` describes.
 
     Args:
         registry: the parts by name, dataclasses whose first positional field is the argument.
@@ -75,7 +75,7 @@ def build_component(registry: Registry, text: str) -> Any:
 
 
 def settings_from_text(settings_class: type[Any], text: str, kind: str, word: str) -> Any:
-    """Create an object of a settings class from a text.
+    """Creates an object of a settings class from a string.
 
     Args:
         settings_class: a dataclass.
@@ -200,7 +200,7 @@ installed."""
 
 
 def devices_command(extra: str = "") -> str:
-    """Command that installs the devices distribution, with an extra, from a clone."""
+    """Command that installs the devices distribution with an extra, from a clone."""
     folder = "./packages/smooth_operator_devices"
     return 'python -m pip install ".[teleop]" ' + (f'"{folder}[{extra}]"' if extra else folder)
 
@@ -261,7 +261,7 @@ SOURCES: Final = Registry(
 
 
 def build_source(text: str, hands: Hands | None = None) -> LiveSource:
-    """Create a source from a text such as ``replay:glove.npz,speed=2``.
+    """Creates a source from a string such as ``replay:glove.npz,speed=2``.
 
     Args:
         text: name and settings.
@@ -338,13 +338,13 @@ FEEDBACK: Final = Registry(
 
 
 def build_feedback(text: str) -> Feedback:
-    """Create an output of feedback from a text such as ``udp:127.0.0.1:9000,strength=0.3``; errors
-    as ``build_sink``."""
+    """Creates a feedback output from a string such as ``udp:127.0.0.1:9000,strength=0.3``; raises
+    the same errors as ``build_sink``."""
     return cast("Feedback", build_component(FEEDBACK, text))
 
 
 def build_sink(text: str) -> Sink:
-    """Create a sink from a text such as ``zmq:tcp://127.0.0.1:5556`` or
+    """Creates a sink from a string such as ``zmq:tcp://127.0.0.1:5556`` or
     ``mylab.driver:MySink,port=7``.
 
     Raises:

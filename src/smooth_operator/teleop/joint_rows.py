@@ -1,4 +1,4 @@
-"""Rows for a table of a hand's joints: limits, neutral position, and coupling as text."""
+"""Makes the rows of a table of a hand's joints: limits, neutral position, and coupling as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from smooth_operator.hands.hand import Hand
 
 @dataclass(frozen=True)
 class JointRow:
-    """Data of one joint, for a table or a slider.
+    """One joint of a hand, for a table or a slider.
 
     Attributes:
         name: name in the model.
@@ -29,7 +29,7 @@ class JointRow:
 
 
 def joint_rows(hand: Hand) -> list[JointRow]:
-    """All joints of a hand, in the model's own order."""
+    """Rows for all joints of a hand, in the model's own order."""
     limits = hand.joint_limits.copy()
     limits[list(hand.actuated)] = hand.limits
     neutral = hand.full_configuration(hand.neutral)

@@ -14,7 +14,7 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, 
 
 @dataclass(frozen=True, kw_only=True)
 class TeleopRequest(MethodRequest):
-    """Source, sinks, robot hand and limits of a teleoperation, as text and numbers."""
+    """Request for a teleoperation: source, sinks, robot hand and limits, as text and numbers."""
 
     source: Annotated[str, arg(metavar="NAME[:SETTINGS]")] = "synthetic"
     """Source of the hand frames."""

@@ -1,4 +1,4 @@
-"""``teleoperate``: runs a teleoperation from a live source to sinks."""
+"""Runs a teleoperation from a live source to sinks: ``teleoperate``."""
 
 from __future__ import annotations
 

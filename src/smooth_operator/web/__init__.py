@@ -1,1 +1,1 @@
-"""Shared parts of the web servers: authentication, files of a page, safe headers, addresses."""
+"""Shared parts of the web servers: authentication, page files, safe headers, addresses."""

@@ -1,4 +1,4 @@
-"""Host names and addresses of this machine, for pages and certificates."""
+"""Finds host names and addresses of this machine, for pages and certificates."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def is_local(host: str) -> bool:
 
 
 def is_zmq_address(text: str) -> bool:
-    """True for an address of ZeroMQ; a TCP address has a port: ``tcp://127.0.0.1:5556``."""
+    """True for a ZeroMQ address; a TCP address must have a port: ``tcp://127.0.0.1:5556``."""
     return re.fullmatch(r"(?!tcp:)\w+://.+|tcp://.+:[\d*!]+", text) is not None
 
 
 def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
-    """Addresses of this machine on its networks; the one of the default route is first.
+    """Addresses of this machine in its networks; the one of the default route comes first.
 
     Args:
         host: ``0.0.0.0`` for IPv4, ``::`` for IPv4 and IPv6, whose addresses may change each day.
@@ -49,7 +49,7 @@ def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
 
 
 def names_of(host: str) -> tuple[str, ...]:
-    """Names in the certificate of a server that listens on ``host``."""
+    """Host names for the certificate of a server that listens on ``host``."""
     if is_local(host):
         return LOCAL
     if host not in ("0.0.0.0", "::"):
@@ -60,7 +60,7 @@ def names_of(host: str) -> tuple[str, ...]:
 
 
 def page_addresses(host: str, port: int, scheme: str = "https") -> tuple[str, ...]:
-    """Addresses of the page, the best one first."""
+    """Addresses under which the page can be opened, best one first."""
     if is_local(host):
         names: tuple[str, ...] = ("localhost",)
     elif host in ("0.0.0.0", "::"):

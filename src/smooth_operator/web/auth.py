@@ -1,4 +1,4 @@
-"""Checks requests to the server of a page: form, origin, host, token.
+"""Checks requests to a page's server: form, origin, host and token.
 
 A server that only this machine can reach needs no token; the checks of ``Origin`` and ``Host``
 refuse other pages of the same browser. On a network, the address of the page has a token; the
@@ -22,7 +22,7 @@ from smooth_operator.web.addresses import is_local
 
 @dataclass(frozen=True)
 class TokenAuth:
-    """Checks the token of every request to a server, for pages and WebSockets.
+    """Checks the token of every request to a server, for both pages and WebSockets.
 
     Attributes:
         tokens: role -> token; None if only this machine can connect.
@@ -35,9 +35,7 @@ class TokenAuth:
     shown_by: str = "the terminal"
 
     def refusal(self, connection: Any, request: Any) -> Any:
-        """Returns a response that refuses or redirects the request; None if the request is
-        accepted.
-        """
+        """Returns a response that refuses or redirects the request, or None if it is accepted."""
         if not same_origin(request):
             return connection.respond(
                 http.HTTPStatus.FORBIDDEN, "requests from another site are refused\n"
@@ -74,14 +72,12 @@ class TokenAuth:
 
 
 def same_secret(secret: str, expected: str) -> bool:
-    """True if two secrets are equal; the time of the comparison does not depend on where they
-    differ.
-    """
+    """True if two secrets are equal. The comparison takes equally long wherever they differ."""
     return hmac.compare_digest(secret.encode(), expected.encode())
 
 
 def cookie(request: Any, name: str) -> str:
-    """Value of a cookie of a request; empty if it has no such cookie."""
+    """Value of a cookie in a request; empty if the request does not have that cookie."""
     try:
         morsel = SimpleCookie(request.headers.get("Cookie", "")).get(name)
     except CookieError:
@@ -110,7 +106,8 @@ _ONCE: Final = ("Origin", "Cookie", "Upgrade", "Accept-Encoding")
 
 
 def well_formed(request: Any) -> bool:
-    """True if a request has one host, no repeated header that is read, and a valid path."""
+    """True if a request has exactly one host, a valid path, and no repeated header that this
+    program reads."""
     values = [request.headers.get_all(name) for name in ("Host", *_ONCE)]
     try:
         urlsplit(request.path)
@@ -121,7 +118,7 @@ def well_formed(request: Any) -> bool:
 
 
 def same_origin(request: Any) -> bool:
-    """True unless a page of another origin sent the request; programs send no origin."""
+    """True unless a page of another origin sent the request. Programs send no origin."""
     origins, hosts = (request.headers.get_all(name) for name in ("Origin", "Host"))
     if len(hosts) != 1 or len(origins) > 1:
         return False

@@ -1,4 +1,4 @@
-"""Opens a page in the local browser without exposing its token in the list of processes."""
+"""Opens a page in the local browser without exposing its token in the process list."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def open_page(url: str) -> None:
 
 
 def leading_to(url: str) -> Path:
-    """Writes a file that redirects to a page. It is readable by this user only, for a minute."""
+    """Writes a temporary file that redirects to a page. Only this user can read it, for a
+    minute."""
     handle, name = tempfile.mkstemp(prefix="smooth-operator-", suffix=".html")  # mode 0600
     file = Path(name)
     shown = html.escape(url)

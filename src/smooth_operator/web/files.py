@@ -1,4 +1,4 @@
-"""Serves the files of a page from a package, with security headers."""
+"""Serves a page's files from a package, with security headers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _BARE: Final = "default-src 'none'; frame-ancestors 'none'"
 
 
 def page_files(package: str) -> dict[str, tuple[bytes, str]]:
-    """Returns path -> (content, type) of all files of a page."""
+    """Maps the path of each file of a page to its content and type."""
     return {
         f"/{file.name}": (file.read_bytes(), _TYPES[suffix])
         for file in (resources.files(package) / "page").iterdir()
@@ -42,7 +42,7 @@ def page_files(package: str) -> dict[str, tuple[bytes, str]]:
 def file_response(
     connection: ServerConnection, status: http.HTTPStatus, body: bytes, kind: str
 ) -> Response:
-    """Makes a response with a file of a media type."""
+    """Makes a response that contains a file of a given media type."""
     response = connection.respond(status, "")
     response.body = body
     for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
@@ -59,7 +59,8 @@ def answer_with(
     links: str = "wss:",
     more: Mapping[str, str] | None = None,
 ) -> Response:
-    """Makes a response with a file and a policy that forbids loading anything from other servers.
+    """Makes a response that contains a file and a policy against loading anything from other
+    servers.
 
     Args:
         links: schemes of WebSockets, which older Safaris don't count as ``'self'``.
@@ -76,7 +77,7 @@ def answer_with(
 def shielded(
     answer: Callable[[ServerConnection, Request], Response | None], policy: str = _BARE
 ) -> Callable[[ServerConnection, Request], Response | None]:
-    """Wraps a server's request handler: refuses malformed requests and adds headers against
+    """Wraps a server's request handler, to refuse malformed requests and add headers against
     framing.
 
     In a frame, a page of another origin could cover our page with its own picture, so that the

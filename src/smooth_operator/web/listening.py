@@ -1,4 +1,4 @@
-"""Listening socket of a server with limits, and options of servers of websockets."""
+"""Opens a server's listening socket with limits, and sets options of WebSocket servers."""
 
 from __future__ import annotations
 
@@ -58,8 +58,7 @@ class LimitedListener(socket.socket):
         self._change = threading.Lock()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Returns the next connection within the limits; BlockingIOError if there is no such
-        connection now."""
+        """Returns the next connection within the limits; BlockingIOError if there is none now."""
         for _ in range(_REFUSED_IN_A_ROW):
             connection, address = super().accept()
             host = str(address[0])
@@ -75,9 +74,8 @@ class LimitedListener(socket.socket):
         raise BlockingIOError
 
     def served(self, address: Any) -> None:
-        """Marks the connection from an address (host, port, ...) as no longer waiting: its request
-        arrived.
-        """
+        """Marks the connection from an address (host, port, ...) as served, because its request has
+        arrived."""
         with self._change:
             self._waiting.pop(address, None)
 
@@ -115,7 +113,7 @@ class _Counted(socket.socket):
 
 
 def quiet_options(name: str) -> dict[str, Any]:
-    """Options of ``websockets.asyncio.server.serve`` with which bad requests do not print anything.
+    """Options for ``websockets.asyncio.server.serve`` that prevent output about bad requests.
 
     Errors of a client go to the logger ``name`` with a traceback. The library's own logger has no
     handler, so Python would print them in the operator's terminal.

@@ -1,1 +1,1 @@
-"""SBR, the sampling-based method of the paper: Eq. (1), Algorithm 1 and its random numbers."""
+"""SBR, the sampling-based method of the Smooth Operator paper (Malate et al., 2026)."""

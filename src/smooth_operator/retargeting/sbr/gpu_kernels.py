@@ -1,4 +1,4 @@
-"""GPU kernels for two steps of the solvers, which are faster than a sequence of library calls.
+"""GPU kernels for two steps of the solvers, faster than a sequence of library calls.
 
 ``next_gaussian`` computes lines 7 to 11 of Algorithm 1: the elites, by a counting search for the
 threshold on the bits of the costs, their mean and covariance, and its Cholesky factor.
@@ -32,7 +32,7 @@ _BLOCK: Final = 16
 
 
 def kernels_available(samples: int = 0) -> bool:
-    """True if a program that is traced now can contain the kernels.
+    """True if a program that is being traced can contain the kernels.
 
     Args:
         samples: number of costs in a call of ``next_gaussian``.
@@ -52,8 +52,8 @@ def _pallas() -> tuple[Any, Any]:
 
 
 def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
-    """Rows of the lower Cholesky factor of a matrix whose entries are arrays of one shape. Entries
-    above the diagonal are not read. NaN for a matrix that is not positive definite."""
+    """Rows of the lower Cholesky factor of a matrix whose entries are arrays of the same shape.
+    Entries above the diagonal are not read. NaN for a matrix that is not positive definite."""
     rows: list[list[Array]] = []
     inverse: list[Array] = []
     for i, entries in enumerate(matrix):
@@ -134,7 +134,7 @@ def next_gaussian(
     jitter: float,
     interpret: bool = False,
 ) -> tuple[Float[Array, " m"], Float[Array, "m m"], UInt32[Array, "2"]]:
-    """Mean, Cholesky factor and key of the next cycle, from the costs of this cycle's candidates.
+    """Computes mean, Cholesky factor and random key of the next cycle from this cycle's costs.
 
     The elites are drawn again from their indices. Among equal costs, lower indices come first; NaN
     counts as infinite.

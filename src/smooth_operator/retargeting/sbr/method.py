@@ -1,4 +1,4 @@
-"""The paper's sampling-based retargeter (SBR), with an optional second-order polish."""
+"""SBR, the sampling-based retargeter of the Smooth Operator paper, with optional Newton steps."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class SbrConfig(ObjectiveMethodConfig):
         return self.sampling.samples <= 2048
 
     def build(self, hand: Hand) -> Sbr:
-        """The method for one hand."""
+        """Builds the method for one hand."""
         return Sbr(hand, self)
 
 
@@ -91,16 +91,16 @@ class Sbr(Method):
 
     @cached_property
     def objective(self) -> SampledObjective:
-        """Eq. (1)."""
+        """The objective of this preset: Eq. (1) of the Smooth Operator paper."""
         return SampledObjective(self.hand, self.config.objective)
 
     @property
     def needs(self) -> tuple[int, ...]:
-        """Wrist and fingertips."""
+        """Indices of the wrist and the fingertips."""
         return self.objective.layout.landmarks
 
     def init(self, seed: int) -> SbrState:
-        """State with the neutral pose and the initial state of the target policy."""
+        """State with the neutral pose and the target policy's initial state."""
         seeds, frames = jax.device_put((seed_words(seed), np.uint32(0)))
         return SbrState(
             jax.device_put(self.hand.neutral.astype(np.float32)),
@@ -115,7 +115,7 @@ class Sbr(Method):
 
     @property
     def trajectory_objective(self) -> Objective:
-        """Eq. (1)."""
+        """The objective of this preset, which is differentiable."""
         return self.objective
 
     def step(

@@ -21,7 +21,7 @@ from smooth_operator.settings import LARGEST, check_numbers
 
 @dataclass(frozen=True)
 class NewtonConfig:
-    """Settings of the polish.
+    """Settings of the Newton steps that follow the sampling.
 
     Attributes:
         iterations: number of Newton steps; 0 leaves them out.
@@ -40,7 +40,7 @@ class NewtonConfig:
 
 
 class NewtonResult(NamedTuple):
-    """Result of the descent.
+    """Result of ``newton_minimise``.
 
     Attributes:
         x: (m,) the best point.
@@ -59,7 +59,7 @@ def newton_minimise(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
 ) -> NewtonResult:
-    """Minimises a cost within bounds, with derivatives of every candidate. It never increases.
+    """Minimises a cost within bounds by Newton steps. The cost never increases.
 
     Args:
         value_grad_hess: cost, gradient and Hessian of one candidate.

@@ -1,4 +1,4 @@
-"""Targets and costs of published methods: plain and DexPilot's keyvectors, and penalties."""
+"""Targets and costs of published methods: plain keyvectors, DexPilot's keyvectors, penalties."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Loss: TypeAlias = Literal["smooth_l1", "squared"]
 def base_weights(
     layout: KeyvectorLayout, wrist: float, thumb: float, between: float
 ) -> Float[np.ndarray, " K"]:
-    """(K,) weights, from those of the vectors from the wrist, the thumb and between fingers."""
+    """(K,) weights of vectors from the wrist, vectors from the thumb, and those between fingers."""
     weights = np.full(len(layout.vectors), between)
     weights[: len(layout.fingers)] = wrist
     weights[layout.thumb] = thumb
@@ -45,10 +45,10 @@ def base_weights(
 
 
 class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
-    """Base class of policies without a state."""
+    """Base class of target policies without a state."""
 
     def init(self, layout: LayoutT) -> tuple[()]:
-        """The empty state."""
+        """Returns the empty state."""
         del layout
         return ()
 
@@ -72,7 +72,7 @@ class PlainTargets(StatelessTargets[KeyvectorLayout]):
         check_numbers(self, "targets.", positive=("beta",))
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
-        """The paper's keyvectors."""
+        """Returns the keyvectors of the Smooth Operator paper for these fingers."""
         return KeyvectorLayout(fingers)
 
     def __call__(
@@ -97,7 +97,7 @@ class LatchState(NamedTuple):
 
 @dataclass(frozen=True)
 class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
-    """Group form of DexPilot's targets (Handa et al. 2019), as in the paper's table.
+    """DexPilot's targets (Handa et al. 2019), with weights by group as in the paper on SBR.
 
     A finger's latch closes when the human thumb-to-tip distance falls below ``project``, and opens
     when it rises above ``escape``. The target of a closed thumb vector is direction x eta1, that of
@@ -141,11 +141,11 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
             )
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
-        """The paper's keyvectors."""
+        """Returns the keyvectors of the Smooth Operator paper for these fingers."""
         return KeyvectorLayout(fingers)
 
     def init(self, layout: KeyvectorLayout) -> LatchState:
-        """The state before the first frame: all latches are open."""
+        """Returns the state before the first frame, in which all latches are open."""
         count = len(layout.fingers) - 1
         return LatchState(*jax.device_put((np.zeros(count, bool), np.zeros(count, np.float32))))
 
@@ -181,14 +181,14 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
 
 
 class SquaredKeyvectors(Keyvectors):
-    """First term of Eq. (1) with the square of each component, as printed in the paper."""
+    """Cost term: weighted squares of keyvector errors, as the paper on SBR prints Eq. (1)."""
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """See ``Keyvectors``."""
+        """Returns the cost of one vector, as ``Keyvectors.price`` does."""
         return weight * (error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> Derivatives:
-        """See ``VectorTerm``; exact."""
+        """Returns costs and exact derivatives, as ``VectorTerm.slopes`` does."""
         double = 2 * jnp.asarray(goal.weights)[:, None]
         cost = 0.5 * (double * errors * errors).sum()
         return Derivatives(cost, double * errors, double * jnp.ones_like(errors))
@@ -203,7 +203,7 @@ KEYVECTORS: Final[dict[Loss, type[Keyvectors]]] = {
 
 @dataclass(frozen=True)
 class ObjectiveConfig(TermsConfig):
-    """Weights of Eq. (1).
+    """Weights of the objective of the Smooth Operator paper, Eq. (1).
 
     Attributes:
         targets: the target policy; by default DexPilot's, as in the paper's table.
@@ -229,10 +229,10 @@ class ObjectiveConfig(TermsConfig):
         check_numbers(self, positive=("transition",))
 
     def keyvectors(self, layout: VectorLayout) -> Keyvectors:
-        """First term of Eq. (1), with the penalty of the settings."""
+        """Builds the keyvector term with the penalty that the settings choose."""
         return KEYVECTORS[self.loss](layout, self.transition)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
-        """The second and third terms of Eq. (1), for a hand with this neutral pose [rad]."""
+        """Builds the pull to a pose and the velocity term, for this neutral pose [rad]."""
         centre = neutral if self.pose_centre == "neutral" else np.zeros_like(neutral)
         return super().pulls(centre)

@@ -1,4 +1,4 @@
-"""Random numbers of Algorithm 1: keys of frames and cycles, and standard normals for candidates.
+"""Random numbers of SBR's sampler: keys of frames and cycles, and normals for candidates.
 
 The normals of candidate n of a cycle are a function of (key, n) and are not stored: the compiler
 fuses drawing, kinematics and cost. JAX's own generator is slower than all of the kinematics.
@@ -16,19 +16,19 @@ from jaxtyping import Array, Float, UInt32
 
 
 def seed_words(seed: int) -> UInt32[np.ndarray, "2"]:
-    """Two random words from any integer seed."""
+    """Makes two random words from any integer seed."""
     words: np.ndarray = np.random.SeedSequence([abs(seed), int(seed < 0)]).generate_state(2)
     return words
 
 
 def frame_key(seed: UInt32[Array, "2"], count: UInt32[Array, ""]) -> UInt32[Array, "2"]:
-    """Key of the count-th frame."""
+    """Makes the random key of the count-th frame."""
     odd = jnp.asarray([0x9E3779B9, 0x85EBCA6B], jnp.uint32)  # two sequences without a common period
     return mix(mix(seed + odd * count) ^ seed[::-1])
 
 
 def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"]:
-    """Keys of ``count`` cycles, from the key of a frame."""
+    """Makes the keys of ``count`` cycles from the key of a frame."""
     counter = jnp.arange(2 * count, dtype=jnp.uint32).reshape(count, 2)
     return mix(mix(counter + key[0]) ^ key[1])
 
@@ -36,13 +36,13 @@ def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"
 def random_word_at(
     key: UInt32[Array, "2"] | tuple[Array, Array], which: Array, half: int
 ) -> UInt32[Array, ""]:
-    """One number of ``random_words``: the first or the second one of a row."""
+    """Returns one number of ``random_words``: the first or second number of a row."""
     counter = 2 * which.astype(jnp.uint32) + jnp.uint32(half)
     return mix(mix(counter + key[0]) ^ key[1])
 
 
 def mix(x: UInt32[Array, "*n"], word: Array | int = 0) -> UInt32[Array, "*n"]:
-    """Bijection of 32-bit words in which every input bit affects every output bit.
+    """Mixes 32-bit words by a bijection in which every input bit affects every output bit.
 
     The constants are those of Wellons' ``lowbias32``. Each ``word`` gives another bijection.
     """
@@ -54,7 +54,7 @@ def mix(x: UInt32[Array, "*n"], word: Array | int = 0) -> UInt32[Array, "*n"]:
 def counter_normals(
     index: UInt32[Array, "*n"], words: UInt32[Array, "2"], count: int
 ) -> list[Float[Array, "*n"]]:
-    """Returns ``count`` arrays of independent standard normals, for the indices of candidates and
+    """Makes ``count`` arrays of independent standard normals for the indices of candidates, from
     the two words of the cycle's key. A 32-bit mixer with full avalanche maps the keyed counter to
     one word, and the Box-Muller transform maps the word to two normals."""
     pairs = (count + 1) // 2
@@ -65,7 +65,7 @@ def counter_normals(
 def counter_normal_matrix(
     index: UInt32[Array, " n"], words: UInt32[Array, "2"], count: int
 ) -> Float[Array, "count n"]:
-    """Numbers of ``counter_normals`` as one matrix: a smaller program, for few candidates."""
+    """The numbers of ``counter_normals`` as one matrix, in a smaller program for few candidates."""
     pairs = (count + 1) // 2
     which = jnp.arange(pairs, dtype=jnp.uint32)[:, None]
     return jnp.concatenate(pair_of_normals(index * jnp.uint32(pairs) + which, words))[:count]
@@ -74,7 +74,7 @@ def counter_normal_matrix(
 def pair_of_normals(
     counter: UInt32[Array, "*n"], words: UInt32[Array, "2"] | tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Box-Muller transform of one word: the upper bits give the angle, the lower 16 the radius.
+    """Box-Muller transform of one word: upper bits give the angle, the lower 16 the radius.
 
     The radius is therefore at most 4.85 standard deviations; one draw in 125,000 would exceed that.
     """

@@ -20,12 +20,12 @@ from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 
 
 class SampledObjective(Objective):
-    """``Objective`` of Eq. (1) for many poses; the batch comes last."""
+    """``Objective`` that evaluates many poses at once; the batch axis comes last."""
 
     config: ObjectiveConfig
 
     def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
-        """First term of Eq. (1); arguments as ``__call__``."""
+        """Cost of the keyvector errors alone; takes the arguments of ``__call__``."""
         return self._point_costs([self.keyvectors], q, goal, within_limits)
 
     def __call__(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:

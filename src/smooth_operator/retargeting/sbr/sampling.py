@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper: MPOPI with iCEM's elites as adaptive importance sampling.
+"""SBR's sampler, Algorithm 1 of the Smooth Operator paper: MPOPI with iCEM's elites.
 
 ``sample_minimise`` follows the printed algorithm and its symbols: mean mu', covariance Sigma'
 (stored as its Cholesky factor ``chol``), elites and weights w. Comments "line n" give the line
@@ -43,7 +43,7 @@ shape."""
 
 @dataclass(frozen=True)
 class SamplingConfig:
-    """Hyper-parameters of Algorithm 1; the defaults are the paper's table.
+    """Settings of the sampler (Algorithm 1); defaults are those of the Smooth Operator paper.
 
     Attributes:
         samples: N, candidates per cycle.
@@ -89,7 +89,7 @@ def sample_minimise(
     sigma: Float[Array, ""] | float | None = None,
     cycles: Int[Array, ""] | int | None = None,
 ) -> Float[Array, " m"]:
-    """Minimises a cost within bounds by Algorithm 1.
+    """Minimises a cost within bounds by adaptive importance sampling (Algorithm 1).
 
     The last cycle, whose candidates the printed algorithm does not use, is left out. Candidates are
     clipped before they are scored, as in the authors' released code, not in line 14 only.
@@ -197,8 +197,8 @@ class _ClippedGaussian:
 
 
 def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
-    """(count, samples) standard normals of low discrepancy, used in every frame: the shifted
-    additive recurrence of Roberts' generalised golden ratio."""
+    """(count, samples) standard normals of low discrepancy, the same in every frame. They are the
+    shifted additive recurrence of Roberts' generalised golden ratio."""
     rng = np.random.default_rng(0)
     ratio = 2.0
     for _ in range(64):  # the root of x^(count + 1) = x + 1

@@ -28,7 +28,7 @@ Pose = Float[np.ndarray, "7"]
 
 
 def matrix_of(pose: ArrayLike) -> Matrix:
-    """Matrix of a position [m] and a quaternion (w x y z, of any length but 0)."""
+    """Converts a position [m] and a quaternion (w x y z, not zero) to a homogeneous matrix."""
     values = np.asarray(pose, float)
     turn, quaternion = np.zeros(9), values[3:] / np.linalg.norm(values[3:])
     mujoco.mju_quat2Mat(turn, quaternion)
@@ -36,35 +36,35 @@ def matrix_of(pose: ArrayLike) -> Matrix:
 
 
 def pose_of(matrix: Matrix) -> Pose:
-    """Position [m] and unit quaternion (w first, not negative) of a matrix."""
+    """Converts a homogeneous matrix to a position [m] and a unit quaternion (w first, not
+    negative)."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix[:3, :3]).ravel())
     return np.concatenate([matrix[:3, 3], quaternion if quaternion[0] >= 0 else -quaternion])
 
 
 def rigid(rotation: ArrayLike, position: ArrayLike) -> Matrix:
-    """Matrix of a rotation (3, 3) and a position (3,) [m]."""
+    """Makes a homogeneous matrix from a (3, 3) rotation and a (3,) position [m]."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation, position
     return out
 
 
 def inverse(matrix: Matrix) -> Matrix:
-    """The inverse of a rigid transform."""
+    """Inverts a rigid transform."""
     turn = matrix[:3, :3].T
     return rigid(turn, -turn @ matrix[:3, 3])
 
 
 def angle_between(one: Matrix, other: Matrix) -> float:
-    """Angle of the rotation from one matrix to the other [rad]."""
+    """Angle of the rotation from one homogeneous matrix to another [rad]."""
     cosine = (float((one[:3, :3] * other[:3, :3]).sum()) - 1.0) / 2.0
     return math.acos(min(max(cosine, -1.0), 1.0))
 
 
 def hand_directions(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Matrix with the rows distal, radial and palmar in the palm frame, at right angles to each
-    other.
-    """
+    """Matrix whose rows are the distal, radial and palmar directions in the palm frame, at right
+    angles to each other."""
     distal, radial, palmar = human_palm_axes(hand)
     distal = np.asarray(distal) / np.linalg.norm(distal)
     palmar = np.asarray(palmar) - (palmar @ distal) * distal
@@ -79,15 +79,16 @@ Place = tuple[float, float, float, float, float, float, float]
 
 
 def denavit_hartenberg(alpha: float, a: float, d: float) -> Place:
-    """Frame of a joint in the one of the previous joint, by the modified convention (Craig): rotate
-    by ``alpha`` about x [rad], move by ``a`` along x and by ``d`` along the new z, the axis [m].
-    """
+    """Pose of a joint's frame in the previous joint's frame, by the modified convention (Craig):
+    rotate by ``alpha`` about x [rad], move by ``a`` along x, then by ``d`` along the new z axis
+    [m], about which the joint turns."""
     return (a, -sin(alpha) * d, cos(alpha) * d, cos(alpha / 2), sin(alpha / 2), 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """Shape of a link: all points within a radius of a line segment, in the link's frame [m]."""
+    """Shape around a link: all points within a radius of a line segment, in the link's frame
+    [m]."""
 
     start: Point
     end: Point
@@ -96,7 +97,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Link:
-    """A joint and the link that it rotates, about the z of its own frame.
+    """A joint and the link that it rotates about the z axis of the link's frame.
 
     Attributes:
         joint: name of the joint, as in the maker's description and in MuJoCo Menagerie.
@@ -121,7 +122,7 @@ class Link:
 
 @dataclass(frozen=True)
 class ArmSpec:
-    """A robot arm.
+    """Description of a robot arm.
 
     Attributes:
         name: name in the catalogue.
@@ -173,27 +174,28 @@ class ArmSpec:
                 )
 
     def mount_of(self, hand: str) -> Place | None:
-        """Frame of a hand's model in that of the flange, if that hand is built onto the arm."""
+        """Pose of a hand's model in the flange's frame, if the arm's maker mounts that hand on
+        it."""
         return self.gripper[1] if self.gripper is not None and self.gripper[0] == hand else None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """(n,) names of the joints, from the base."""
+        """(n,) names of the joints, starting at the base."""
         return tuple(link.joint for link in self.links)
 
     @cached_property
     def limits(self) -> Float[np.ndarray, "n 2"]:
-        """(n, 2) limits of the positions [rad]."""
+        """(n, 2) position limits [rad]."""
         return np.array([link.limits for link in self.links])
 
     @cached_property
     def velocity(self) -> Float[np.ndarray, " n"]:
-        """(n,) limits of the velocities [rad/s]."""
+        """(n,) velocity limits [rad/s]."""
         return np.array([link.velocity for link in self.links])
 
     @cached_property
     def acceleration(self) -> Float[np.ndarray, " n"]:
-        """(n,) limits of the accelerations [rad/s^2]."""
+        """(n,) acceleration limits [rad/s^2]."""
         return np.array([link.acceleration for link in self.links])
 
 
@@ -244,7 +246,7 @@ def arm_spec(arm: ArmSpec) -> mujoco.MjSpec:
 def attach_to_flange(
     world: mujoco.MjSpec, hand: mujoco.MjSpec, flange_to_model: Matrix, prefix: str
 ) -> None:
-    """Put a hand's model on the flange of an arm; gravity on the hand is compensated too.
+    """Attaches a hand's model to the flange of an arm. Gravity on the hand is compensated too.
 
     Args:
         world: a world with an arm, whose names begin with ``ARM_PREFIX``; it is changed.
@@ -262,7 +264,7 @@ def attach_to_flange(
 def add_servo(
     spec: mujoco.MjSpec, joint: str, inertia: float, torque: float, bandwidth: float
 ) -> None:
-    """Add a critically damped position servo: torque = kp (target - q) - kv dq/dt, limited.
+    """Adds a critically damped position servo: torque = kp (target - q) - kv dq/dt, limited.
 
     Args:
         spec: the model that has the joint; it is changed.
@@ -290,7 +292,7 @@ def add_servo(
 
 
 def inertia_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "v v"]:
-    """(v, v) joint-space inertia matrix at the positions of ``data``, after ``mj_forward``."""
+    """(v, v) joint-space inertia matrix at the positions in ``data``, after ``mj_forward``."""
     full = np.zeros((model.nv, model.nv))
     try:
         mujoco.mj_fullM(model, data, full)
@@ -330,7 +332,7 @@ def _add_capsules(
 
 @dataclass(frozen=True, eq=False)
 class HandMount:
-    """A hand on a flange: its fingers point along the flange's z, away from the arm.
+    """How a hand is mounted on a flange: its fingers point along the flange's z, away from the arm.
 
     Frames: the flange's z points out of the flange. The hand's wrist frame has x toward the base of
     the middle finger, z out of the back of the hand, y = z x x; that is the frame of
@@ -358,9 +360,8 @@ class HandMount:
 
     @cached_property
     def model_to_palm(self) -> Matrix:
-        """Pose of the palm frame in the world of the hand's own model, with a forearm's joints at
-        rest.
-        """
+        """Pose of the palm frame in the world of the hand's own model, with forearm joints at
+        rest."""
         hand = self.hand
         data = mujoco.MjData(hand.model)
         data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
@@ -397,7 +398,8 @@ class HandMount:
 
     @cached_property
     def wrist_to_pinch(self) -> Matrix:
-        """Frame between the tips of thumb and index finger in the wrist frame, with its axes."""
+        """Pose, in the wrist frame, of a frame midway between the tips of thumb and index
+        finger."""
         hand = self.hand
         tips = hand.tips(hand.full_configuration(hand.neutral))[:2]
         middle = inverse(self.palm_to_wrist) @ np.append(tips.mean(axis=0), 1.0)
@@ -405,12 +407,12 @@ class HandMount:
 
     @cached_property
     def flange_to_model(self) -> Matrix:
-        """Pose of the world of the hand's own model in the flange's frame."""
+        """Pose, in the flange's frame, of the world of the hand's own model."""
         return np.asarray(self.flange_to_wrist @ inverse(self.model_to_palm @ self.palm_to_wrist))
 
 
 class HandCapsules:
-    """Capsules around a hand's parts, posed in the flange's frame as the fingers move.
+    """Capsules around a hand's parts, whose poses in the flange's frame follow the fingers.
 
     Args:
         mount: the hand on its flange.
@@ -477,7 +479,7 @@ a pressing finger moves the arm by at most 2 mm."""
 
 @dataclass(frozen=True, eq=False)
 class CarriedHand:
-    """An arm with a hand, at a place in the room.
+    """An arm with a hand, at a given place in the room.
 
     Attributes:
         arm: the arm.
@@ -492,11 +494,11 @@ class CarriedHand:
     base: Matrix
 
     def at_base(self, base: ArrayLike) -> CarriedHand:
-        """Returns a copy with the base at another place (3,) [m], facing along x."""
+        """Returns a copy whose base is at another (3,) position [m] and faces along x."""
         return replace(self, base=rigid(np.eye(3), base))
 
     def attach(self, world: mujoco.MjSpec, hand: mujoco.MjSpec, prefix: str) -> None:
-        """Put the arm into a world, with servos, and the hand on its flange.
+        """Adds the arm to a world, with servos, and the hand on its flange.
 
         Args:
             world: the world; it is changed.
@@ -529,7 +531,7 @@ class CarriedHand:
 
 @dataclass(frozen=True, eq=False)
 class ArmAddresses:
-    """Addresses of an arm in a compiled world.
+    """Where an arm's joints and servos are in the arrays of a compiled world.
 
     Attributes:
         qpos: (n,) addresses of its joints among the positions.
@@ -543,7 +545,8 @@ class ArmAddresses:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Iterable[str]) -> ArmAddresses:
-        """Finds the addresses of joints that have servos, by their names without ``ARM_PREFIX``."""
+        """Finds the addresses of joints that have servos; the names are given without
+        ``ARM_PREFIX``."""
         names = [ARM_PREFIX + name for name in joints]
         return cls(
             np.array([int(model.joint(name).qposadr[0]) for name in names]),
@@ -553,7 +556,7 @@ class ArmAddresses:
 
 
 class WristKinematics:
-    """Forward kinematics from an arm's joints to palm and wrist of its hand. Not thread-safe.
+    """Forward kinematics from an arm's joints to the palm and wrist of its hand. Not thread-safe.
 
     Args:
         carried: the arm with its hand.
@@ -566,7 +569,7 @@ class WristKinematics:
         self._flange = self._model.body(FLANGE).id
 
     def wrist(self, positions: Float[np.ndarray, " n"]) -> Pose:
-        """Pose of the hand's wrist in the arm's base frame at (n,) joint positions [rad]."""
+        """Pose of the hand's wrist in the arm's base frame, at (n,) joint positions [rad]."""
         return pose_of(self._flange_at(positions) @ self._carried.mount.flange_to_wrist)
 
     def palm(self, positions: Float[np.ndarray, " n"]) -> Pose:

@@ -1,4 +1,4 @@
-"""Arms of the user: the joints from the base to a link of a URDF or MJCF file."""
+"""Reads a user's arm from a URDF or MJCF file: the joints from the base to a given link."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEAST_MASS: Final = 0.05  # [kg]
 
 
 def arm_from_file(path: Path, tip: str, posture: Sequence[float] | None = None) -> ArmSpec:
-    """Read an arm from a model file.
+    """Reads an arm from a model file.
 
     The shapes become capsules; a link without a shape is a rod from its joint to the next one.
 

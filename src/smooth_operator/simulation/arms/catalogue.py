@@ -1,4 +1,4 @@
-"""Catalogue of arms: figures of the makers' data sheets, with capsules around the links.
+"""Built-in robot arms: numbers from the makers' data sheets, and capsules around the links.
 
 Frames and angles are those of the makers' controllers, so the real arm can use a command unchanged.
 The capsules are our own, from the makers' dimensioned drawings; those of the Panda follow the
@@ -190,7 +190,7 @@ ARMS: Final[dict[str, ArmSpec]] = {
 
 
 def arm_named(name: str) -> ArmSpec:
-    """An arm by its name; UnknownNameError if there is no arm of that name."""
+    """Returns the arm with this name; UnknownNameError if there is none."""
     if name not in ARMS:
         raise UnknownNameError("arm", name, ARMS)
     return ARMS[name]

@@ -1,4 +1,4 @@
-"""A wrist that moves freely: three slides and three hinges carry the hand, in place of an arm.
+"""A wrist that moves freely: three slides and three hinges carry the hand instead of an arm.
 
 It is the same for every hand: servos of one stiffness, force and speed.
 """
@@ -47,7 +47,7 @@ _HINGES: Final = {"pitch": (0, 1, 0), "yaw": (0, 0, 1), "roll": (1, 0, 0)}
 
 @dataclass(frozen=True, eq=False)
 class FreeWrist:
-    """A hand on three slides and three hinges, whose positions are 0 at the start pose.
+    """A hand on three slides and three hinges, whose positions are 0 in the start pose.
 
     The slides move along the axes of the wrist frame at the start; the hinges then rotate the hand
     about its y, its z and its x. The weight of the hand is compensated, that of an object is not.
@@ -67,7 +67,7 @@ class FreeWrist:
         return np.zeros(6)
 
     def attach(self, world: mujoco.MjSpec, hand: mujoco.MjSpec, prefix: str) -> None:
-        """Put slides, hinges and servos into a world, and the hand on them.
+        """Adds slides, hinges and servos to a world, and the hand on them.
 
         Args:
             world: the world; it is changed.
@@ -98,7 +98,7 @@ class FreeWrist:
     def targets(
         self, pose: Pose, before: Float[np.ndarray, "6"], seconds: float
     ) -> Float[np.ndarray, "6"]:
-        """Returns (6,) targets of slides [m] and hinges [rad] on the way to a pose of the wrist,
+        """Returns (6,) targets of slides [m] and hinges [rad] that move towards a wrist pose,
         within the speed limits.
 
         Args:
@@ -118,7 +118,7 @@ class FreeWrist:
         return np.asarray(before + step)
 
     def pose(self, positions: Float[np.ndarray, "6"]) -> Pose:
-        """Returns the (7,) pose of the wrist frame in the world at positions of slides and
+        """Returns the (7,) pose of the wrist frame in the world at given positions of slides and
         hinges."""
         turn = np.array([1.0, 0.0, 0.0, 0.0])
         for vector in positions[3:, None] * np.array([*_HINGES.values()], float):

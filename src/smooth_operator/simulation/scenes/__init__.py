@@ -1,4 +1,4 @@
-"""Scenes of the study's tasks, around any hand."""
+"""Scenes of the user study's tasks, for any hand."""
 
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, ScenePart, SceneState

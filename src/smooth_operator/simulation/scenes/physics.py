@@ -1,4 +1,4 @@
-"""Simulation of a hand in a scene: contacts of the object, soft fingertips, fixture and reset.
+"""Simulates a hand in a task's scene: object contacts, soft fingertips, fixture and reset.
 
 MuJoCo scales a contact's stiffness by the mass that it moves. The parameters of an object follow
 from its mass, so that a given force presses a pad equally far into an object of any mass. The
@@ -56,8 +56,7 @@ _HARDEST: Final = 0.9995  # highest impedance: an object below 1 g
 
 
 def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None:
-    """Set the contact parameters of the shapes of an object and its moving parts to those of soft
-    pads.
+    """Gives the shapes of an object and its moving parts the contact parameters of soft pads.
 
     Args:
         model: the scene; it is changed.
@@ -71,7 +70,7 @@ def soften_pads(model: mujoco.MjModel, body: int, fingertips: list[int]) -> None
 
 
 def pad_impedance(inverse_mass: float) -> tuple[float, float]:
-    """Impedance at first touch and at ``PRESSED_DEPTH``.
+    """Contact impedance at first touch and at ``PRESSED_DEPTH``.
 
     Args:
         inverse_mass: sum of the inverse masses of object and fingertip [1/kg].
@@ -88,7 +87,7 @@ _PALM, _REST, _OBJECT = -1, -2, -3
 
 
 class Touching:
-    """Reads forces and points of contact from a scene's model.
+    """Reads contact forces and contact points from a scene's model.
 
     Args:
         hand: the hand in the scene.
@@ -112,8 +111,8 @@ class Touching:
     def read(
         self, data: mujoco.MjData
     ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "f 3"], float, float]:
-        """Reads the forces on the object from the fingers, the palm and everything else, and where
-        fingers touch.
+        """Reads the forces that the fingers, the palm and everything else exert on the object, and
+        where fingers touch it.
 
         Returns:
             (f,) normal force of each finger [N]; (f, 3) its point of contact in the object's frame
@@ -187,7 +186,7 @@ def in_front(carried: CarriedHand, scene: Scene) -> CarriedHand:
 
 
 class ScenePhysics(HandPhysics):
-    """Simulation of a hand and the object of a task.
+    """Simulates a hand and the object of a task.
 
     The object first stays at its start and touches nothing until the hand is clear of its place, as
     an experimenter would wait before placing it. In a scene with a fixture, the fixture holds the
@@ -240,19 +239,19 @@ class ScenePhysics(HandPhysics):
         self.reset_object()
 
     def restart(self) -> None:
-        """Reset to time 0: the hand rests in the neutral pose, and the object is at its start."""
+        """Resets to time 0: the hand rests in the neutral pose, and the object is at its start."""
         super().restart()
         self.starts = 0
         self.reset_object()
 
     def reset_object(self) -> None:
-        """Put the object back to its start as soon as the hand is clear of that place."""
+        """Puts the object back to its start as soon as the hand is clear of that place."""
         self._away = False
         self.starts += 1
         self._begin()
 
     def put_away(self) -> None:
-        """Remove the object until it is put back: nothing touches it."""
+        """Removes the object until it is put back, so that nothing touches it."""
         self._away = True
         self._begin()
 
@@ -289,7 +288,7 @@ class ScenePhysics(HandPhysics):
         )
 
     def parts(self) -> list[ScenePart]:
-        """Returns the shapes of the platform and of the object, as they are now, for drawing."""
+        """Returns the current shapes of the platform and of the object, for drawing."""
         model, data, parts = self.model, self._data, []
         own = data.xpos[self._body], data.xmat[self._body].reshape(3, 3)
         for geom in range(model.ngeom):
@@ -374,7 +373,7 @@ class ScenePhysics(HandPhysics):
 
 
 class ArmPhysics(HandPhysics):
-    """Simulation of a hand on an arm that stands on an empty table (the floor of its world).
+    """Simulates a hand on an arm that stands on an empty table (the floor of its world).
 
     Gravity acts on objects only: the weight of arm and hand is compensated.
 
@@ -414,7 +413,7 @@ MASS_SHARE: Final = 0.2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ObjectVariation:
-    """A variation of a task's object. The defaults change nothing.
+    """How a task's object differs from the standard one. The defaults change nothing.
 
     Attributes:
         shift: (2,) shift of the object along x and y of the world [m].
@@ -433,7 +432,7 @@ class ObjectVariation:
     target: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     def scene(self, scene: _S) -> _S:
-        """Returns the scene with the object at the start of this variation."""
+        """Returns the scene with the object at the start that this variation gives."""
         scene = scene.varied(self.shape, self.target)
         position, quaternion = scene.start
         shift = np.array([*self.shift, 0.0])
@@ -443,7 +442,7 @@ class ObjectVariation:
         return replace(scene, start=(position + shift, turned))
 
     def prepare(self, physics: ScenePhysics) -> None:
-        """Set friction and mass of the object; call it once, before a trial."""
+        """Sets friction and mass of the object; call it once, before a trial."""
         model = physics.model
         own = model.body_rootid == model.body(OBJECT).id
         model.geom_friction[own[model.geom_bodyid], :2] *= self.friction
@@ -457,7 +456,7 @@ class ObjectVariation:
 
 
 def draw_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariation:
-    """Draws a random variation, uniform within the benchmark's limits.
+    """Draws a random variation, uniform within the limits of the benchmark.
 
     Args:
         scale: factor of all limits; 0 for the nominal object.
@@ -487,7 +486,7 @@ _SHAPES: Final = 6  # a multiple of the number of shapes of every scene
 
 
 def draw_wrist_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariation:
-    """Draws a random variation for a task with a moving wrist, uniform within its limits.
+    """Draws a random variation for a task with a moving wrist, uniform within that task's limits.
 
     Args:
         scale: factor of all limits; 0 for the nominal object, of any shape.

@@ -1,4 +1,5 @@
-"""Scene of ``relocate``: a ball, a cylinder or a cube on a table, and a target in the air."""
+"""Scene of the task ``relocate``: a ball, a cylinder or a cube on a table, and a target in the
+air."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ _MARK: Final = 0.03  # radius of the mark at the target [m]
 
 @dataclass(frozen=True, eq=False)
 class RelocateScene(TableScene):
-    """Scene with the hand above the object, palm down and fingers tilted.
+    """Scene with the hand above the object, the palm facing down and the fingers tilted.
 
     Attributes:
         shape: name of the object's shape in ``SHAPES``.
@@ -39,14 +40,14 @@ class RelocateScene(TableScene):
     shape: str
 
     def varied(self, shape: int, shift: Float[np.ndarray, "3"]) -> Self:
-        """See ``Scene.varied``."""
+        """Returns the scene with another shape or target; see ``Scene.varied``."""
         name = list(SHAPES)[shape % len(SHAPES)]
         (x, y, _), turn = self.start
         start = (np.array([x, y, TOP + self.scale * SHAPES[name][1][-1]]), turn)
         return replace(self, shape=name, start=start, target=self.target + shift)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """The table, and the mark at the target."""
+        """Adds the table, and the mark at the target."""
         super().add_platform(world)
         world.worldbody.add_geom(
             name="target",
@@ -59,7 +60,7 @@ class RelocateScene(TableScene):
         )
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """The ball, cylinder or cube."""
+        """Adds the ball, cylinder or cube."""
         kind, size, mass = SHAPES[self.shape]
         add_shape(
             body,
@@ -73,8 +74,8 @@ class RelocateScene(TableScene):
 
 
 def relocate_scene(hand: Hand, shape: str = "ball", scale: float = 1.0) -> RelocateScene:
-    """Makes the scene with the hand's grasp centre above the object; HandModelError if thumb and
-    fingers can't be 5 cm apart.
+    """Makes the scene with the hand's grasp centre above the object; HandModelError if the gap
+    between thumb and fingers can't be 5 cm.
 
     Args:
         shape: name in ``SHAPES``.

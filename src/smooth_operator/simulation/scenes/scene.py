@@ -1,4 +1,5 @@
-"""Scenes of tasks: a hand on its fixture, an object, a platform for the object, and their state."""
+"""Base of the tasks' scenes: a hand on its fixture, an object, the object's platform, and their
+state."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from smooth_operator.simulation.physics import FURNISHED
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Pose of a hand on its fixture.
+    """Pose in which a fixture holds a hand.
 
     A scene places its parts in directions of the hand, from the wrist: distal along the fingers,
     radial towards the thumb's side, palmar out of the palm. The world's z points up.
@@ -40,13 +41,14 @@ class Mount:
 
     @property
     def wrist_pose(self) -> Pose:
-        """(7,) pose in the world of the wrist frame, as in ``HandMount``."""
+        """(7,) pose of the wrist frame (see ``HandMount``) in the world."""
         distal, back = self.directions[:, 0], -self.directions[:, 2]
         turn = np.stack([distal, np.cross(back, distal), back], axis=1)
         return pose_of(rigid(turn, self.wrist))
 
     def world(self, point: ArrayLike) -> Float[np.ndarray, "3"]:
-        """Converts a point (distal, radial and palmar from the wrist [m]) to the world (3,) [m]."""
+        """Converts a point given as (distal, radial, palmar) from the wrist [m] to (3,) world
+        coordinates [m]."""
         return np.asarray(self.wrist + self.directions @ np.asarray(point, float))
 
     def in_palm(
@@ -66,7 +68,7 @@ class Mount:
 
 
 def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (0, 0, 0)) -> Mount:
-    """Place a hand in the world.
+    """Places a hand in the world.
 
     Args:
         up: (3,) direction of the hand (distal, radial, palmar) that is the world's z.
@@ -95,7 +97,7 @@ _POSES = 20_000
 
 
 def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
-    """Returns (s, f, 3) fingertips in random poses: distal, radial and palmar from the wrist [m].
+    """Returns (s, f, 3) fingertips in random poses, as (distal, radial, palmar) from the wrist [m].
 
     The random poses are the same in every call, so that a hand's scene is always the same.
     """
@@ -106,8 +108,8 @@ def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
 
 
 def opposition(hand: Hand, finger: str, gap: float) -> Float[np.ndarray, "k 3"]:
-    """Returns (k, 3) midpoints between the tips of thumb and finger in poses where they are ``gap``
-    apart.
+    """Returns (k, 3) midpoints between the tips of thumb and finger, in poses in which they are
+    ``gap`` apart.
 
     All lengths are in metres.
 
@@ -141,7 +143,8 @@ _WIDTH, _HEIGHT = 1280, 960  # largest picture
 
 @dataclass(frozen=True, eq=False)
 class Scene(ABC):
-    """Description of a hand and its object; the world's z points up, and the floor is at 0.
+    """Description of a hand and its object in a world whose z axis points up and whose floor is at
+    0.
 
     Attributes:
         mount: pose of the hand.
@@ -166,15 +169,15 @@ class Scene(ABC):
 
     @abstractmethod
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """Add the support of the object to the world."""
+        """Adds the object's support to the world."""
 
     @abstractmethod
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Add the shapes of the object to its body."""
+        """Adds the shapes of the object to its body."""
 
     def varied(self, shape: int, shift: Float[np.ndarray, "3"]) -> Self:
-        """Returns the scene with another shape of its object and the target at another place; the
-        scene itself if it has one shape and no target.
+        """Returns the scene with another shape of its object and another target position; a scene
+        with only one shape and no target returns itself.
 
         Args:
             shape: number of the shape, modulo the number of shapes.
@@ -187,7 +190,7 @@ class Scene(ABC):
         return FreeWrist(hand, self.mount.wrist_pose)
 
     def furnish(self, hand: mujoco.MjSpec, carried: HandCarrier | None = None) -> mujoco.MjSpec:
-        """Build the world with the hand in it; see ``build_physics``.
+        """Builds the world around the hand; see ``build_physics``.
 
         Args:
             carried: arm or free wrist that carries the hand, at its place; None for a fixture.
@@ -230,7 +233,7 @@ def add_shape(
     at: Sequence[float] = (0.0, 0.0, 0.0),
     priority: int = 1,
 ) -> None:
-    """Add a shape that collides with everything.
+    """Adds a shape that collides with everything.
 
     Args:
         body: the body that gets the shape.
@@ -259,7 +262,7 @@ def add_shape(
 
 
 def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
-    """World with a floor and a light, and with the physics settings of the hand's model."""
+    """Makes a world with a floor and a light, and with the physics settings of the hand's model."""
     world = mujoco.MjSpec()
     for name in ("timestep", "integrator", "disableflags"):
         setattr(world.option, name, getattr(hand.option, name))
@@ -297,7 +300,7 @@ def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """State of a scene at one moment; the world's z points up.
+    """State of a scene at one moment, in a world whose z axis points up.
 
     Attributes:
         time: simulated time [s].
@@ -337,7 +340,7 @@ def object_pose(
     quaternion: Float[np.ndarray, "4"],
     reference: Float[np.ndarray, "4"],
 ) -> Float[np.ndarray, "7"]:
-    """(7,) float32: position [m] and quaternion w x y z of the object, without jumps of sign.
+    """(7,) float32 pose of the object: position [m] and quaternion w x y z, whose sign never jumps.
 
     Args:
         position: (3,) position of the object in the world [m].

@@ -1,4 +1,4 @@
-"""Scenes of tasks with a moving wrist: a hand starts above a table on which the object lies."""
+"""Base of scenes with a moving wrist: the hand starts above a table on which the object lies."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _REACH: Final = 0.6  # half of the side of the workspace [m]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TableScene(Scene):
-    """Scene whose object lies on a table, around the origin of the world.
+    """Scene whose object lies on a table, near the origin of the world.
 
     Attributes:
         target: (3,) place of the goal in the world [m].
@@ -50,7 +50,7 @@ class TableScene(Scene):
     scale: float
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """The table."""
+        """Adds the table."""
         add_shape(
             world.worldbody,
             PLATFORM,
@@ -67,14 +67,14 @@ class TableScene(Scene):
 
 
 def grasp_centre(hand: Hand) -> Float[np.ndarray, "3"]:
-    """Returns the (3,) middle between thumb and fingers at ``GRASP_GAP``: distal, radial, palmar
-    from the wrist [m]; HandModelError if the hand can't have that gap."""
+    """Returns the (3,) point midway between thumb and fingers when they are ``GRASP_GAP`` apart, as
+    (distal, radial, palmar) from the wrist [m]; HandModelError if the hand can't open that far."""
     middle = np.concatenate([opposition(hand, name, GRASP_GAP) for name in hand.fingers[1:3]])
     return np.asarray(np.median(middle, axis=0))
 
 
 def mount_over(hand: Hand, centre: ArrayLike, *, up: ArrayLike, forward: ArrayLike) -> Mount:
-    """Places a hand so that its grasp centre is at a point of the world.
+    """Places a hand so that its grasp centre is at a given point of the world.
 
     Args:
         centre: (3,) the point [m].

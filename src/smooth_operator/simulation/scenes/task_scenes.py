@@ -1,5 +1,4 @@
-"""Scenes of tasks, around any hand; here those of the study: card pickup, cube rotation,
-screwdriver pivot."""
+"""Scenes of the user study's tasks for any hand: card pickup, cube rotation, screwdriver pivot."""
 
 from __future__ import annotations
 
@@ -39,8 +38,8 @@ _CARD_FRICTION: Final = (0.9, 0.002)  # rubber on plastic
 
 @dataclass(frozen=True, eq=False)
 class CardScene(Scene):
-    """Scene in which the table's edge runs across the hand, with the fingers on the table and the
-    thumb below.
+    """Scene in which the table's edge lies across the hand, with the fingers on the table and the
+    thumb below it.
 
     Attributes:
         edge: x of the table's edge; the table lies beyond it [m].
@@ -55,7 +54,7 @@ class CardScene(Scene):
     reach: float
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """The table."""
+        """Adds the table."""
         half = np.array(_TABLE) / 2
         add_shape(
             world.worldbody,
@@ -70,7 +69,7 @@ class CardScene(Scene):
         )
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """The card."""
+        """Adds the card."""
         add_shape(
             body,
             "card",
@@ -83,8 +82,8 @@ class CardScene(Scene):
 
 
 def card_scene(hand: Hand) -> CardScene:
-    """Makes the scene with table and card where a finger can press on the table and the thumb reach
-    below; HandModelError if the hand has no such place."""
+    """Makes the scene with table and card where a finger can press on the table and the thumb can
+    reach below it; HandModelError if the hand has no such place."""
     tips = reachable(hand)
     thumb, others = tips[:, 0], tips[:, 1:3].reshape(-1, 3)
     best: tuple[float, float, float] | None = None
@@ -153,7 +152,7 @@ _FACES: Final = (
 
 @dataclass(frozen=True, eq=False)
 class CubeScene(Scene):
-    """Scene in which the palm faces down above a cube that stands within the fingertips' reach.
+    """Scene in which the palm faces down above a cube that is within reach of the fingertips.
 
     Attributes:
         top: height of the pedestal's top [m].
@@ -164,7 +163,7 @@ class CubeScene(Scene):
     top: float
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """The pedestal."""
+        """Adds the pedestal."""
         x, y, _ = self.start[0]
         add_shape(
             world.worldbody,
@@ -179,7 +178,7 @@ class CubeScene(Scene):
         )
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """The cube, with a colour for each face."""
+        """Adds the cube, which has a different colour on each face."""
         half = CUBE / 2
         add_shape(
             body,
@@ -205,8 +204,9 @@ class CubeScene(Scene):
 
 
 def cube_scene(hand: Hand) -> CubeScene:
-    """Makes the scene with the cube midway between thumb and fingers, its upper half in reach of
-    the tips; HandModelError if no pose has the thumb and the index finger a cube's width apart."""
+    """Makes the scene with the cube midway between thumb and fingers and its upper half within
+    reach of the tips; HandModelError if thumb and index finger are a cube's width apart in no pose.
+    """
     middle = np.concatenate([opposition(hand, name, CUBE) for name in hand.fingers[1:3]])
     deepest = float(np.quantile(reachable(hand)[:, 1:3, 2], 0.97))  # palmar
     distal, radial = (float(value) for value in np.median(middle[:, :2], axis=0))
@@ -242,7 +242,8 @@ _HANDLE_FRICTION: Final = (0.9, 0.002)
 
 @dataclass(frozen=True, eq=False)
 class ScrewdriverScene(Scene):
-    """Scene in which the fingers point down and the handle lies level between thumb and fingers.
+    """Scene in which the fingers point down and hold the screwdriver's handle level, between thumb
+    and fingers.
 
     The object's frame has z from the handle's end to the blade's tip and its origin at the grip.
     """
@@ -253,7 +254,7 @@ class ScrewdriverScene(Scene):
         """Adds nothing: the screwdriver is in the hand or on the floor."""
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Add handle and shaft; the side with the blade is the heavier one."""
+        """Adds handle and shaft; the side with the blade is heavier."""
         radius, length = HANDLE
         add_shape(
             body,
@@ -278,9 +279,9 @@ class ScrewdriverScene(Scene):
 
 
 def screwdriver_scene(hand: Hand) -> ScrewdriverScene:
-    """Makes the scene with the screwdriver between thumb and fingers, along their row, blade at the
-    thumb; HandModelError if no pose has the thumb and the index finger a handle's thickness
-    apart."""
+    """Makes the scene with the screwdriver between thumb and fingers, parallel to their row, with
+    the blade at the thumb; HandModelError if thumb and index finger are a handle's width apart in
+    no pose."""
     at = mount(hand, up=(-1, 0, 0), forward=(0, 0, 1), wrist=(0.0, 0.0, _WRIST_HEIGHT))
     between = np.median(opposition(hand, hand.fingers[1], 2 * HANDLE[0]), axis=0)
     centre = at.world(between)
@@ -309,7 +310,7 @@ SCENES: Final[dict[str, Callable[[Hand], Scene]]] = {
 
 
 def scene_for(task: str, hand: Hand) -> Scene:
-    """Makes the scene of a task around a hand.
+    """Makes the scene of a task for a given hand.
 
     Raises:
         UnknownNameError: there is no such task.

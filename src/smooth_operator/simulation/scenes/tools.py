@@ -1,4 +1,5 @@
-"""Scenes of ``hammer`` and ``tongs``: a tool on a stand, across the hand and below its palm.
+"""Scenes of the tasks ``hammer`` and ``tongs``: a tool on a stand, across the hand and below its
+palm.
 
 They resemble Adroit's ``hammer`` (Gymnasium-Robotics; its documentation has the nail's friction)
 and DexJoCo's ``hammer_nail`` and ``pinch_tongs``. Shapes and sizes are ours.
@@ -70,7 +71,7 @@ _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
 
 @dataclass(frozen=True, eq=False)
 class ToolScene(TableScene):
-    """Scene with a tool on two posts.
+    """Scene with a tool that lies on two posts.
 
     The object's origin is the middle of the grip, and its y points along the tool to its working
     end, which is on the thumb's side of the hand.
@@ -82,7 +83,7 @@ class ToolScene(TableScene):
     height: ClassVar[float]  # of the tool's middle above the posts [m]
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """Add the table, and the posts below the tool."""
+        """Adds the table, and the posts below the tool."""
         super().add_platform(world)
         (x, y, _), turn = self.start
         stand = world.worldbody.add_body(name=f"{PLATFORM}_stand", pos=(x, y, TOP), quat=turn)
@@ -139,11 +140,11 @@ class HammerScene(ToolScene):
     pitch, post, posts, height = 15.0, (0.020, 0.012, 0.030), (-0.107, 0.090), HANDLE[2] / 2
 
     def varied(self, shape: int, shift: Float[np.ndarray, "3"]) -> Self:
-        """See ``Scene.varied``."""
+        """Returns the scene with another target; see ``Scene.varied``."""
         return replace(self, target=self.target + _TARGET_SHARE * shift)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """Add the table, the stand, the block and the nail."""
+        """Adds the table, the stand, the block and the nail."""
         super().add_platform(world)
         s, (x, y, top) = self.scale, self.target
         half = np.array([s * _BLOCK, s * _BLOCK, (top - TOP) / 2])
@@ -159,7 +160,7 @@ class HammerScene(ToolScene):
         nail.geoms[-1].contype = nail.geoms[-1].conaffinity = 0  # it goes into the block
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Add the hammer."""
+        """Adds the hammer."""
         s, (handle, head) = self.scale, HAMMER_MASSES
         middle = HEAD_AT + _HEAD_END - HANDLE[1] / 2
         half = s / 2 * np.array(HANDLE)
@@ -170,18 +171,18 @@ class HammerScene(ToolScene):
 
 
 class TongsScene(ToolScene):
-    """Scene with tongs: a spring opens the arm of the fingers against the arm of the thumb. The
-    target is ``RAISED`` above the start."""
+    """Scene with tongs, whose spring pushes the fingers' arm away from the thumb's arm. The target
+    is ``RAISED`` above the start."""
 
     mechanism: ClassVar = "tongs"
     pitch, post, posts, height = 40.0, (0.045, 0.008, 0.025), (-0.105, 0.060), ARM[2] / 2
 
     def gap(self, angle: float) -> float:
-        """Gap between the ends of the arms [m] at an angle between them [rad]."""
+        """Gap between the ends of the arms [m] for a given angle between the arms [rad]."""
         return self.scale * (GAPS[1] + ARM[1] * angle)
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Add the tongs."""
+        """Adds the tongs."""
         s, half = self.scale, self.scale / 2 * np.array(ARM)
         for side, name in ((-1, "thumb_arm"), (1, "finger_arm")):
             turn = np.cos(_ANGLE / 4), 0.0, 0.0, -side * np.sin(_ANGLE / 4)
@@ -207,7 +208,7 @@ def _first(like: ArrayLike, value: float) -> np.ndarray:
 
 
 def hammer_scene(hand: Hand, scale: float = 1.0) -> HammerScene:
-    """Makes the scene; HandModelError if thumb and fingers can't be 5 cm apart.
+    """Makes the hammer's scene; HandModelError if the gap between thumb and fingers can't be 5 cm.
 
     Args:
         scale: factor of the lengths of hammer and nail; masses have the third power of it.
@@ -216,7 +217,7 @@ def hammer_scene(hand: Hand, scale: float = 1.0) -> HammerScene:
 
 
 def tongs_scene(hand: Hand, scale: float = 1.0) -> TongsScene:
-    """Makes the scene; HandModelError if thumb and fingers can't be 5 cm apart.
+    """Makes the tongs' scene; HandModelError if the gap between thumb and fingers can't be 5 cm.
 
     Args:
         scale: factor of the lengths of the tongs; their mass has the third power of it.

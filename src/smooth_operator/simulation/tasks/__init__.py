@@ -1,4 +1,4 @@
-"""The simulated tasks: rubrics, scorers, trials and records."""
+"""Simulated tasks: their scoring rules (rubrics), scorers, trials and records."""
 
 from smooth_operator.simulation.tasks.catalogue import FIXED_WRIST as FIXED_WRIST
 from smooth_operator.simulation.tasks.catalogue import TASKS as TASKS

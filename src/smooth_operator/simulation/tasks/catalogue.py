@@ -1,5 +1,5 @@
-"""The simulated tasks: those of the study, with the hand on a fixture, and those with a moving
-wrist."""
+"""Lists the simulated tasks: those of the study, with the hand on a fixture, and those with a
+moving wrist."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ FIXED_WRIST: Final = tuple(name for name, task in TASKS.items() if not task.move
 
 
 def task_named(name: str) -> SimulatedTask:
-    """Returns a task by its name here or in the paper (A, B, C); UnknownNameError if there is no
-    such task."""
+    """Returns a task by its name, or by its letter in the Smooth Operator paper (A, B, C);
+    UnknownNameError if there is no such task."""
     for task in TASKS.values():
         if name in (task.name, task.task.name):
             return task

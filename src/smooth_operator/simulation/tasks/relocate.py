@@ -1,4 +1,4 @@
-"""Task with a moving wrist: pick up an object and hold it at a target in the air.
+"""The task ``relocate``: pick up an object and hold it at a target in the air.
 
 The rule for half a point is that of Adroit's ``relocate`` (Rajeswaran et al., "Learning Complex
 Dexterous Manipulation with Deep Reinforcement Learning and Demonstrations", RSS 2018): within 10 cm
@@ -48,7 +48,7 @@ RELOCATE: Final = Task(
 
 @dataclass(frozen=True, eq=False)
 class RelocateScorer:
-    """Scorer of ``relocate``.
+    """Scores the task ``relocate``.
 
     Attributes:
         scene: the scene of the trial.
@@ -70,7 +70,7 @@ class RelocateScorer:
 
     @property
     def assessment(self) -> Assessment:
-        """See ``Scorer``."""
+        """Score of the trial if it ended now."""
         if self.done:
             return Assessment(1.0, "done", "held at the target", complete=True)
         place = f"{100 * self.distance:.0f} cm from the target"
@@ -82,7 +82,7 @@ class RelocateScorer:
         return Assessment(0.0, NOT_DONE, place if self.held else "not held by the hand alone")
 
     def observe(self, state: SceneState) -> Self:
-        """See ``Scorer``."""
+        """Returns the scorer after a later state of the scene."""
         distance = float(np.linalg.norm(state.position - self.scene.target))
         held = held_by_hand(state)
         size = self.scene.scale

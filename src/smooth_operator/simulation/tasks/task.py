@@ -1,5 +1,4 @@
-"""Tasks of a study, including the paper's three, their rubrics, and the scorers that apply the
-rubrics.
+"""Tasks of a study with their rubrics, and the scorers of the Smooth Operator paper's three tasks.
 
 A scorer follows a scene and assesses the trial. Source of the rubrics: the task success rubric in
 the paper's supplement, in our words.
@@ -38,7 +37,7 @@ PRESSES_N: Final = 0.02
 
 @dataclass(frozen=True)
 class Assessment:
-    """Score of a trial if it ended now.
+    """Score that a trial would get if it ended now.
 
     Attributes:
         score: 0, 0.5 or 1, before the cap for a reset.
@@ -58,7 +57,8 @@ class Assessment:
 
 
 class Scorer(Protocol):
-    """Immutable state of a trial that is scored by a task's rubric."""
+    """State of a trial in progress, from which a task's rubric derives the score. It is
+    immutable."""
 
     @property
     def assessment(self) -> Assessment:
@@ -69,19 +69,20 @@ class Scorer(Protocol):
 
 
 def held_since(since: float | None, meets: bool, time: float) -> float | None:
-    """Time since which a condition has held without a break; None if it does not hold now."""
+    """Time from which a condition has held without a break; None if it does not hold now."""
     if not meets:
         return None
     return time if since is None else since
 
 
 def lasted(since: float | None, time: float, seconds: float = HOLD_S) -> bool:
-    """True if a condition that has held since ``since`` has held for at least ``seconds``."""
+    """True if a condition that has held since the time ``since`` has held for ``seconds`` or
+    more."""
     return since is not None and time - since >= seconds - 1e-9
 
 
 def outside(scene: Scene, state: SceneState) -> bool:
-    """True if the object has left the workspace."""
+    """True if the object has left the workspace of the scene."""
     return bool(np.any(state.position < scene.lower) or np.any(state.position > scene.upper))
 
 
@@ -113,7 +114,7 @@ _CORNERS: Final = np.array(list(product((-0.5, 0.5), repeat=3))) * CARD
 
 @dataclass(frozen=True, eq=False)
 class CardScorer:
-    """Scorer of task A, card pickup.
+    """Scores task A, card pickup.
 
     Attributes:
         scene: the scene of the trial.
@@ -135,7 +136,7 @@ class CardScorer:
 
     @property
     def assessment(self) -> Assessment:
-        """See ``Scorer``."""
+        """Score of the trial if it ended now."""
         if self.gone:
             return Assessment(0.0, "dropped", "the card fell", dropped=True)
         if self.done and self.over:
@@ -151,7 +152,7 @@ class CardScorer:
         return Assessment(0.0, NOT_DONE, "over the edge" if self.over else "on the table")
 
     def observe(self, state: SceneState) -> Self:
-        """See ``Scorer``."""
+        """Returns the scorer after a later state of the scene."""
         corners = state.position + _CORNERS @ rotation(state.quaternion).T
         near = float(corners[:, 0].min())
         lies = state.support > 0.0
@@ -170,7 +171,7 @@ class CardScorer:
 
 
 def pinches(state: SceneState) -> bool:
-    """True if the thumb presses on one face of the card and a finger on the other."""
+    """True if the thumb presses on one face of the card and a finger on the other face."""
     side = np.where(np.abs(state.touch[:, 2]) > _FACE, np.sign(state.touch[:, 2]), 0.0)
     side = np.where(state.force > PRESSES_N, side, 0.0)
     return bool(side[0] != 0 and np.any(side[1:] == -side[0]))
@@ -192,7 +193,7 @@ _LEANING_S: Final = 1.0  # time after which a leaning cube won't fall flat by it
 
 @dataclass(frozen=True, eq=False)
 class CubeScorer:
-    """Scorer of task B, vertical cube rotation.
+    """Scores task B, vertical cube rotation.
 
     Attributes:
         scene: the scene of the trial.
@@ -218,7 +219,7 @@ class CubeScorer:
 
     @property
     def assessment(self) -> Assessment:
-        """See ``Scorer``."""
+        """Score of the trial if it ended now."""
         if self.gone:
             return Assessment(0.0, "dropped", "the cube fell", dropped=True)
         if self.done and self.flipped:
@@ -233,7 +234,7 @@ class CubeScorer:
         return Assessment(0.0, NOT_DONE, f"{degrees}, flipped" if self.flipped else degrees)
 
     def observe(self, state: SceneState) -> Self:
-        """See ``Scorer``."""
+        """Returns the scorer after a later state of the scene."""
         now = rotation(state.quaternion)
         start = rotation(self.scene.start[1])
         upright = float((now @ start.T)[2, 2])
@@ -289,7 +290,7 @@ SCREWDRIVER_STILL: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ScrewdriverScorer:
-    """Scorer of task C, screwdriver pivot.
+    """Scores task C, screwdriver pivot.
 
     Attributes:
         scene: the scene of the trial.
@@ -309,7 +310,7 @@ class ScrewdriverScorer:
 
     @property
     def assessment(self) -> Assessment:
-        """See ``Scorer``."""
+        """Score of the trial if it ended now."""
         if self.gone:
             return Assessment(0.0, "dropped", "the screwdriver fell", dropped=True)
         if self.done:
@@ -322,7 +323,7 @@ class ScrewdriverScorer:
         return Assessment(0.0, NOT_DONE, degrees)
 
     def observe(self, state: SceneState) -> Self:
-        """See ``Scorer``."""
+        """Returns the scorer after a later state of the scene."""
         blade = rotation(state.quaternion)[:, 2]
         angle = float(np.arctan2(np.hypot(blade[0], blade[1]), -blade[2]))
         held = held_by_hand(state)
@@ -346,8 +347,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
 def check_name(name: str, what: str) -> str:
-    """Returns a name if it is valid in a table, a file name and an address; StudyError if the name
-    has other characters, or is too long."""
+    """Returns a name if it is valid in a table, a file name and a URL; StudyError if the name has
+    other characters, or is too long."""
     if not _NAME.fullmatch(name) or len(name) > 64:
         raise StudyError(
             f"{what} {name!r}: use up to 64 letters, digits, '_', '.' and '-', starting with "
@@ -377,7 +378,7 @@ def seconds(value: float, what: str, least: float = 0.0) -> None:
 
 @dataclass(frozen=True)
 class RubricLine:
-    """One way for a trial to end.
+    """One possible result of a trial, with its score.
 
     Attributes:
         name: name of the line in the data.
@@ -397,7 +398,7 @@ class RubricLine:
             )
 
     def possible(self, resets: int, cap: float) -> bool:
-        """True if a trial can end with this line.
+        """True if this line can be the result of a trial.
 
         Args:
             resets: number of resets; a line whose name ends in ``after-reset`` needs one.
@@ -451,8 +452,7 @@ class Task:
             )
 
     def line(self, name: str) -> RubricLine:
-        """Returns a line of the rubric by its name; UnknownNameError if there is no line with that
-        name."""
+        """Returns the line of the rubric with this name; UnknownNameError if there is none."""
         lines = {line.name: line for line in self.rubric}
         if name not in lines:
             raise UnknownNameError(f"line in the rubric of task {self.name!r}:", name, lines)

@@ -1,4 +1,4 @@
-"""Recorded trials of a task on the hands of a running simulation."""
+"""Runs and records trials of a task on the hands of a running simulation."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WAITING: Final = "waiting"
 
 
 class TaskSession:
-    """Successive trials on one hand of a simulation. Safe from any thread.
+    """Runs trials on one hand of a simulation, one after another. Safe from any thread.
 
     The simulation must be open and have the task. Between trials the object stays where it is;
     ``go`` puts it back and starts the clock.
@@ -82,7 +82,7 @@ class TaskSession:
 
     @property
     def run(self) -> TaskRun:
-        """The current trial."""
+        """The current trial, as an immutable value."""
         with self._lock:
             return self._run
 
@@ -101,7 +101,7 @@ class TaskSession:
 
     @property
     def active(self) -> bool:
-        """True while a trial runs or waits for the hand to be clear."""
+        """True while a trial runs, or waits for the hand to move away from the object's start."""
         with self._lock:
             return self._waiting or self._run.phase is Phase.RUNNING
 
@@ -112,7 +112,7 @@ class TaskSession:
             return self._paused
 
     def go(self, *, when_clear: bool = False, limit_s: float | None = None, **about: Any) -> None:
-        """Start a trial, with the object at its start.
+        """Starts a trial, with the object at its start.
 
         Args:
             when_clear: start the clock once the object was untouched at its start for ``CLEAR_S``;
@@ -145,15 +145,15 @@ class TaskSession:
         self._record.events.append((self._now, "go"))
 
     def reset(self) -> None:
-        """Put the object back to its start, at most once in a trial; the score is then at most 0.5.
-        StudyError if no trial is running, or its reset was already used."""
+        """Puts the object back to its start, at most once in a trial; the score is then at most
+        0.5. StudyError if no trial is running, or its reset was already used."""
         with self._lock:
             self._run = self._run.reset()
             self._since = self._simulation.reset_object(self._side)
             self._record.events.append((self._now, "reset"))
 
     def pause(self, paused: bool) -> None:
-        """Stop or resume the scene of the current trial and its clock; StudyError if no trial is
+        """Stops or resumes the scene of the current trial and its clock; StudyError if no trial is
         active that could be paused."""
         with self._lock:
             if paused == self._paused:
@@ -169,14 +169,14 @@ class TaskSession:
             self._paused = frozen
 
     def finish(self) -> None:
-        """End the trial of an operator who gives up; StudyError if no trial is running."""
+        """Ends the trial of an operator who gives up; StudyError if no trial is running."""
         with self._lock:
             self._run = self._run.finish(self._now)
             self._record.events.append((self._now, "finish"))
             self._end()
 
     def cancel(self) -> None:
-        """Discard the current trial without counting or writing it; does nothing if none runs."""
+        """Discards the current trial without counting or writing it; does nothing if none runs."""
         with self._lock:
             self._freeze(False)
             if self.active:
@@ -184,7 +184,7 @@ class TaskSession:
                 self._run = TaskRun(self.task, self._run.scene)
 
     def mark(self, word: str, about: Mapping[str, Any]) -> bool:
-        """Mark the record of the last trial, which has ended, as one that does not count.
+        """Marks the record of the last trial, which has ended, as one that does not count.
 
         The word becomes a prefix of the file's name, and the entry ``"marked": word`` is added.
 
@@ -241,13 +241,13 @@ class TaskSession:
             }
 
     def close(self) -> None:
-        """Stop following the simulation, which may be closed. A running trial is not counted."""
+        """Stops following the simulation, which may be closed. A running trial is not counted."""
         with contextlib.suppress(SinkError):
             self._freeze(False)
             self._simulation.watch(self._side, None)
 
     def observe(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
-        """Follow a state of the simulation, which calls this after each step.
+        """Processes a new state of the simulation, which calls this after each step.
 
         Args:
             positions: (n,) joint positions of the hand [rad].
@@ -332,7 +332,7 @@ class TaskSession:
 
 
 class TrialRunner:
-    """Trials on each hand of a simulation, and the scenes around them. Safe from any thread.
+    """Runs trials on each hand of a simulation, and changes the scenes. Safe from any thread.
 
     Args:
         simulation: an open sink, with or without a task.
@@ -369,7 +369,7 @@ class TrialRunner:
 
     @property
     def outcomes(self) -> dict[Side, list[Outcome]]:
-        """Results of all trials so far, in order."""
+        """Results of all trials so far, in the order in which they ended."""
         with self._lock:
             return {
                 side: [*past, *(self._sessions[side].outcomes if side in self._sessions else ())]
@@ -383,12 +383,12 @@ class TrialRunner:
 
     @property
     def object_there(self) -> bool:
-        """True if a scene contains its object; False in free movement."""
+        """True if the object is present in a scene; False in free movement."""
         states = [self._simulation.scene_state(side) for side in self._sides]
         return any(state is not None and not state.away for state in states)
 
     def change(self, task: str | None, with_object: bool = True) -> SimulatedTask | None:
-        """Load the scene of a task, or remove the task, and discard a running trial.
+        """Loads the scene of a task, or removes the task, and discards a running trial.
 
         If the scene is already the current one, it is kept and its object is put back to its start.
 
@@ -421,7 +421,7 @@ class TrialRunner:
         return chosen
 
     def go(self, *, when_clear: bool = False, limit_s: float | None = None, **about: Any) -> None:
-        """Start a trial on every hand.
+        """Starts a trial on every hand.
 
         Args:
             when_clear: start each clock when the hand is clear of its object; see TaskSession.
@@ -442,8 +442,8 @@ class TrialRunner:
                 )
 
     def reset(self) -> None:
-        """Use the one reset of the running trials; if none is running, only put the objects back.
-        StudyError if the reset of a trial was already used, or there is no task."""
+        """Uses the one reset that each running trial has; if no trial is running, only puts the
+        objects back. StudyError if the reset of a trial was already used, or there is no task."""
         with self._lock:
             running = self._running()
             for side, session in running.items():
@@ -453,7 +453,7 @@ class TrialRunner:
                 self.put_back()
 
     def put_back(self) -> None:
-        """Put the objects back to their start, whether or not a trial is running; SinkError if the
+        """Puts the objects back to their start, whether or not a trial is running; SinkError if the
         simulation is closed."""
         self._put(True)
 
@@ -465,7 +465,8 @@ class TrialRunner:
                 self._simulation.put_away(side)
 
     def finish(self) -> None:
-        """End the running trials of an operator who gives up; StudyError if no trial is running."""
+        """Ends the running trials of an operator who gives up; StudyError if no trial is
+        running."""
         with self._lock:
             running = self._running()
             if not running:
@@ -474,7 +475,7 @@ class TrialRunner:
                 session.finish()
 
     def pause(self, paused: bool = True) -> None:
-        """Stop or resume the scenes of running trials and their clocks; StudyError if there is no
+        """Stops or resumes the scenes of running trials and their clocks; StudyError if there is no
         trial to pause, or no task."""
         with self._lock:
             sessions = self._all()
@@ -486,7 +487,7 @@ class TrialRunner:
                     self._say(side, "is paused" if paused else "goes on")
 
     def cancel(self, mark: str | None = None, **about: Any) -> None:
-        """Discard the running trials.
+        """Discards the running trials.
 
         Args:
             mark: ``undone`` or ``void``, to mark trials that have just ended and do not count.
@@ -501,7 +502,7 @@ class TrialRunner:
                     self._say(side, f"is {mark}")
 
     def report(self, side: Side | None = None) -> dict[str, Any]:
-        """State of the trial of a hand, by default of the first hand; see ``TaskSession.report``.
+        """State of the trial on one hand, by default the first; see ``TaskSession.report``.
         StudyError if there is no such hand, or no task."""
         with self._lock:
             sessions = self._all()
@@ -512,7 +513,7 @@ class TrialRunner:
             return self._sessions[side].report()
 
     def end(self) -> None:
-        """Stop following the simulation, which may be closed."""
+        """Stops following the simulation, which may be closed."""
         with self._lock:
             for session in self._sessions.values():
                 session.close()

@@ -1,4 +1,4 @@
-"""Tasks with a tool in a moving hand: drive a nail in; lift tongs, and shut and open them."""
+"""Tasks with a tool and a moving wrist: drive in a nail; lift tongs, then close and open them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _unfinished(partly: bool, gone: bool, progress: str) -> Assessment:
 
 @dataclass(frozen=True, eq=False)
 class HammerScorer:
-    """Scorer of ``hammer``.
+    """Scores the task ``hammer``.
 
     Attributes:
         scene: the scene of the trial.
@@ -78,14 +78,14 @@ class HammerScorer:
 
     @property
     def assessment(self) -> Assessment:
-        """See ``Scorer``."""
+        """Score of the trial if it ended now."""
         if self.done:
             return Assessment(1.0, "done", "nail in, hammer held", complete=True)
         partly = self.depth >= DRIVEN[0] * self.scene.scale
         return _unfinished(partly, self.gone, f"nail in by {1e3 * self.depth:.0f} mm")
 
     def observe(self, state: SceneState) -> Self:
-        """See ``Scorer``."""
+        """Returns the scorer after a later state of the scene."""
         holds = held_by_hand(state) and state.mechanism >= DRIVEN[1] * self.scene.scale
         held = held_since(self.held, holds, state.time)
         return replace(
@@ -99,7 +99,7 @@ class HammerScorer:
 
 @dataclass(frozen=True, eq=False)
 class TongsScorer:
-    """Scorer of ``tongs``.
+    """Scores the task ``tongs``.
 
     Attributes:
         scene: the scene of the trial.
@@ -115,13 +115,13 @@ class TongsScorer:
 
     @property
     def assessment(self) -> Assessment:
-        """See ``Scorer``."""
+        """Score of the trial if it ended now."""
         if self.opened >= SQUEEZES:
             return Assessment(1.0, "done", "shut and opened three times", complete=True)
         return _unfinished(self.shut > 0, self.gone, f"shut {self.shut} times in the air")
 
     def observe(self, state: SceneState) -> Self:
-        """See ``Scorer``."""
+        """Returns the scorer after a later state of the scene."""
         lifted = held_by_hand(state) and float(state.position[2]) >= self.scene.target[2]
         gap = self.scene.gap(state.mechanism) / self.scene.scale
         shuts = lifted and self.shut == self.opened and gap <= SHUT_BELOW

@@ -1,4 +1,4 @@
-"""A trial of a task as an immutable value, and its record on disk.
+"""A trial of a task, as an immutable value, and its record on disk.
 
 A trial lasts from 'go' to success, a lost object or the time limit. Its only clock is that of the
 scene's states, so scoring a recorded trial again gives the same score (``rescore``). A record is
@@ -31,7 +31,7 @@ RESET_CAP: Final = 0.5
 
 
 class Phase(enum.Enum):
-    """Phase of a trial."""
+    """Phase of a trial, from its start to its end."""
 
     READY = "ready"
     RUNNING = "running"
@@ -40,7 +40,7 @@ class Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a trial.
+    """Result of a trial that has ended.
 
     Attributes:
         score: 0, 0.5 or 1.
@@ -61,7 +61,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class TaskRun:
-    """A trial of a task.
+    """A trial of a task, as an immutable value.
 
     Attributes:
         task: the task.
@@ -85,7 +85,7 @@ class TaskRun:
 
     @property
     def assessment(self) -> Assessment:
-        """Score of the trial if it ended now, with the cap for a reset."""
+        """Score of the trial if it ended now; after a reset, it is at most the cap."""
         if self.scorer is None:
             return Assessment(0.0, NOT_DONE, "ready")
         now = self.scorer.assessment
@@ -95,15 +95,15 @@ class TaskRun:
         return replace(now, score=RESET_CAP, line=after)
 
     def go(self, time: float) -> Self:
-        """Returns the trial after 'go'; the object must be at its start. StudyError if the trial
-        has started already."""
+        """Returns the trial after its start ('go'); the object must be at its start position.
+        StudyError if the trial has started already."""
         if self.phase is not Phase.READY:
             raise StudyError(f"the trial is {self.phase.value}; start a new one")
         scorer = self.task.scorer(self.scene)
         return replace(self, phase=Phase.RUNNING, started=time, scorer=scorer)
 
     def reset(self) -> Self:
-        """Returns the trial after the one reset of its object; the clock continues. StudyError if
+        """Returns the trial after the one reset that it allows; the clock continues. StudyError if
         the trial is not running, or its reset was already used."""
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; only a running trial can be reset")
@@ -117,9 +117,8 @@ class TaskRun:
         )
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the trial after a state of the scene; it is done when complete, lost or out of
-        time.
-        """
+        """Returns the trial after a new state of the scene; it ends when complete, lost or out of
+        time."""
         if self.phase is not Phase.RUNNING or self.scorer is None:
             return self
         # While the object waits for the hand to leave its place nothing can happen to it.
@@ -157,7 +156,7 @@ def rescore(
     states: Iterable[SceneState],
     events: Iterable[tuple[float, str]],
 ) -> TaskRun:
-    """Score a recorded trial again.
+    """Computes the score of a recorded trial again.
 
     Args:
         states: recorded states of the scene, in order.
@@ -231,13 +230,13 @@ class TrialRecord:
     about: dict[str, Any] = field(default_factory=dict)
 
     def add(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
-        """Append a state of the scene and the joint positions."""
+        """Appends a state of the scene and the joint positions."""
         self.states.append(state)
         self.positions.append(positions)
 
 
 def write_trial(path: str | Path, record: TrialRecord) -> None:
-    """Write a trial atomically; OutputError if the file can't be written."""
+    """Writes a trial atomically; OutputError if the file can't be written."""
     columns = {name: np.array([getattr(state, name) for state in record.states]) for name in _STATE}
     head = {
         "task": record.task,
@@ -262,7 +261,7 @@ def write_trial(path: str | Path, record: TrialRecord) -> None:
 
 
 def read_trial(path: str | Path) -> TrialRecord:
-    """Read a trial back; StudyError if the file is not a trial."""
+    """Reads a trial that ``write_trial`` wrote; StudyError if the file is not a trial."""
     try:
         arrays = open_arrays(Path(path))
         head = parse_json(arrays["trial"].text())

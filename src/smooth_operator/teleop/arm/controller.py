@@ -1,4 +1,4 @@
-"""Controller of an arm: converts target poses of the hand's wrist to joint commands within limits.
+"""Arm controller: converts target poses of the hand's wrist to joint commands within limits.
 
 ``Clearance`` limits velocities by the distances between the arm's parts, its hand, table and wall.
 """
@@ -64,7 +64,7 @@ _SITE, _TABLE, _WALL = "target", "table", "wall"
 
 @dataclass(frozen=True)
 class ClearanceConfig:
-    """Distances that parts keep from each other.
+    """Minimum distances between parts of the robot, and between robot and surroundings.
 
     Attributes:
         parts: smallest distance between parts of the arm, and between arm and hand [m].
@@ -88,7 +88,8 @@ class ClearanceConfig:
 
 
 class Clearance(mink.CollisionAvoidanceLimit):
-    """Velocity limits that keep parts of arm and hand away from each other, the table and the wall.
+    """Velocity limits that keep the parts of arm and hand away from each other, the table and the
+    wall.
 
     mink computes the near pairs, their distances and derivatives. This class adds the distance that
     each pair must keep, and limits speeds so that the joints can still stop.
@@ -279,7 +280,7 @@ _HOME_NEAR: Final = (1e-3, 5e-3)
 
 @dataclass(frozen=True)
 class ArmControlConfig:
-    """Settings of an arm's controller.
+    """Settings of an arm controller.
 
     Attributes:
         speed: velocity limit of the wrist [m/s].
@@ -339,7 +340,7 @@ class ArmControlConfig:
 
 
 class ArmController:
-    """Follows the pose of the hand's wrist with the arm, one step for each command of the loop.
+    """Makes an arm follow target poses of its hand's wrist, one step per command of the loop.
 
     Each step solves one quadratic program (mink, daqp) for joint velocities: the wrist's error,
     a preferred posture and damping near singular poses, within limits of position, velocity,
@@ -416,7 +417,8 @@ class ArmController:
 
     @property
     def clearance(self) -> float:
-        """Smallest distance between parts, or to table and wall, at the last step [m]."""
+        """Smallest distance between parts, or from a part to table or wall, at the last step
+        [m]."""
         return self._clearance.nearest
 
     def wrist_at(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, "7"]:
@@ -432,7 +434,7 @@ class ArmController:
         return pose_of(site @ inverse(self._to_site))
 
     def restart(self, positions: Float[np.ndarray, " n"]) -> None:
-        """Reset to measured joint positions (n,) [rad], at rest."""
+        """Restarts the controller at measured (n,) joint positions [rad], at rest."""
         self.limiter = self._limiter(positions)
         self._configuration.update(self.limiter.q)
         self._before = None
@@ -445,7 +447,7 @@ class ArmController:
         *,
         stop: bool = False,
     ) -> ArmCommand:
-        """Compute the next command.
+        """Computes the next command.
 
         Args:
             target: wrist pose in the base frame: position [m], quaternion (w x y z). None, or a
@@ -620,7 +622,7 @@ def _difference(one: Matrix, other: Matrix) -> Float[np.ndarray, "6"]:
 
 @dataclass(frozen=True, eq=False)
 class ArmOfHand:
-    """An arm with its hand, and its controller.
+    """An arm that carries a hand, and its controller.
 
     Attributes:
         carried: arm and hand for simulations and pages.

@@ -1,4 +1,4 @@
-"""Settings of arms for the command line. This module is quick to import."""
+"""Arm settings for the command line. This module is quick to import."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class ArmSettings:
-    """Settings that choose the arm that carries a hand, and place it.
+    """Settings that choose the arm that carries a hand and how the hand is mounted.
 
     Attributes:
         name: ``panda``, ``ur5e``, ``xarm7``, ``iiwa14``, ``so101``, or a URDF or MJCF file.
@@ -68,7 +68,7 @@ class ArmSettings:
 
     @cached_property
     def spec(self) -> ArmSpec:
-        """The arm.
+        """Description of the chosen arm.
 
         Raises:
             ConfigError, HandModelError: the file can't be read, or the settings do not fit it.
@@ -87,7 +87,7 @@ class ArmSettings:
 
 
 def read_arm(text: str) -> ArmSettings:
-    """Parse settings such as ``panda`` or ``panda:roll=90,adapter=0.03``.
+    """Parses settings such as ``panda`` or ``panda:roll=90,adapter=0.03``.
 
     Raises:
         ConfigError, UnknownNameError: a setting is unknown or can't be read.
@@ -99,7 +99,7 @@ def read_arm(text: str) -> ArmSettings:
 
 
 def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, CarriedHand]:
-    """Place each hand on its arm, in the arm's nominal posture. Two arms are placed side by side.
+    """Mounts each hand on its arm, in the arm's nominal posture. Two arms stand side by side.
 
     Args:
         hands: side -> robot hand.

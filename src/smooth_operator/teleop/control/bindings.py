@@ -1,4 +1,4 @@
-"""Table of an operator's inputs: which key, pedal, pinch or button carries out which action."""
+"""Table of the operator's inputs: which key, pedal, pinch or button triggers which action."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _MOST_BYTES: Final = 100_000
 
 
 def read_bindings(words: Iterable[str] = (), more: Collection[str] = ()) -> dict[str, str]:
-    """Reads the table of inputs.
+    """Reads the table of inputs and their actions.
 
     Args:
         words: changes of the default inputs. ``ACTION=INPUT`` adds an input to an action, and takes
@@ -98,18 +98,18 @@ def read_bindings(words: Iterable[str] = (), more: Collection[str] = ()) -> dict
 
 
 def inputs_of(bindings: Mapping[str, str], action: str) -> list[str]:
-    """The inputs of an action."""
+    """Inputs that trigger an action."""
     return [each for each, name in bindings.items() if name == action]
 
 
 def spoken(bindings: Mapping[str, str], action: str) -> str:
-    """The inputs of an action, as a text: ``space, escape or x``."""
+    """Inputs that trigger an action, as a phrase: ``space, escape or x``."""
     *others, last = inputs_of(bindings, action) or ["no input"]
     return f"{', '.join(others)} or {last}" if others else last
 
 
 def keys_of(bindings: Mapping[str, str], offered: Collection[str]) -> dict[str, list[str]]:
-    """Action -> its keys, for a page; with the actions that are offered."""
+    """Maps each action that a page offers to the keys that trigger it."""
     keys = {name: inputs_of(bindings, name) for name in offered}
     return {name: [each for each in inputs if ":" not in each] for name, inputs in keys.items()}
 
@@ -118,7 +118,7 @@ DEFAULT_KEYS: Final = keys_of(read_bindings(), ACTIONS)
 
 
 def action_table() -> str:
-    """Lines with all actions, their meanings and default inputs, for the help of a command."""
+    """Table of all actions with their meanings and default inputs, for the help of a command."""
     return "\n".join(
         f"  {name:<9}{words}{f': {spoken(read_bindings(), name)}' if inputs else ''}"
         for name, (words, inputs) in ACTIONS.items()
@@ -126,7 +126,7 @@ def action_table() -> str:
 
 
 def label_of(keys: Mapping[str, Sequence[str]], action: str) -> str:
-    """The first key of an action, as in `` (P)``; empty if it has none."""
+    """The first key of an action in brackets, as in `` (P)``; empty if it has none."""
     return f" ({shown[0].capitalize()})" if (shown := keys.get(action)) else ""
 
 

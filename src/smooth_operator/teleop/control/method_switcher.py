@@ -1,4 +1,4 @@
-"""Switches method, preset or operator of a running loop; compiles on a separate thread."""
+"""Switches method, preset or operator of a running loop. Compiles on a separate thread."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True, eq=False)
 class DriverSpec:
-    """Method that drives the hands, and its configuration for each.
+    """The method that drives the hands, and its configuration for each hand.
 
     Attributes:
         method: name of the method.
@@ -43,7 +43,7 @@ class DriverSpec:
     operators: Mapping[Side, OperatorProfile | None]
 
     def driver(self, side: Side) -> Driver:
-        """The driver of one side, for recordings of the run."""
+        """Method and configuration of one side, for the recordings of the run."""
         return Driver(self.method, self.preset, self.configs[side])
 
 
@@ -84,7 +84,7 @@ class MethodSwitcher:
         self._thread.start()
 
     def configuration(self) -> dict[str, Any]:
-        """The settings that may have changed since the start of the run, for a recording."""
+        """Settings that may have changed since the start of the run, for a recording."""
         used = self.used
         return {
             "method": used.method,
@@ -94,7 +94,7 @@ class MethodSwitcher:
         }
 
     def choose(self, method: str, preset: str | None = None) -> Future[DriverSpec]:
-        """Request a method; without a preset, its default preset.
+        """Requests another method; if no preset is given, its default preset.
 
         Returns:
             a future that completes when the method drives the hands, or fails with the error. A
@@ -108,7 +108,7 @@ class MethodSwitcher:
             return self._want(self._settled(method, preset))
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
-        """Request other operator profiles; see ``choose``.
+        """Requests other operator profiles; see ``choose``.
 
         Hands that are not named keep their profiles.
 
@@ -128,7 +128,7 @@ class MethodSwitcher:
                 raise
 
     def close(self) -> None:
-        """Stop, without waiting for a running build."""
+        """Stops, without waiting for a method that is being compiled."""
         with self._changed:
             self._ending = True
             _complete(self._request, ConfigError("the run has ended"))

@@ -1,4 +1,4 @@
-"""Foot pedal on Linux: the keys of one input device, whichever window has the focus."""
+"""Reads a foot pedal on Linux: the keys of one input device, whichever window has focus."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AGAIN_S: Final = 1.0
 def pedal(
     path: Path, press: Callable[[str], None], known: Collection[str], say: Callable[[str], None]
 ) -> Iterator[None]:
-    """Passes on the keys of an input device while the block runs.
+    """Passes on the keys of an input device, such as a foot pedal, while the block runs.
 
     The device types nothing elsewhere meanwhile. If it is unplugged, it is opened again as soon as
     it is back.

@@ -1,4 +1,4 @@
-"""Pinches of an operator's hand as inputs, such as of the hand that drives no robot."""
+"""Uses an operator's pinches as inputs, for example those of a hand that drives no robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOST_S: Final = 0.3  # time without frames after which the hand has to open aga
 
 
 def sides_of(bindings: Iterable[str], driven: Sequence[Side]) -> dict[Side, dict[str, str]]:
-    """Side -> finger -> input, of the pinches in a table of inputs.
+    """Maps side and finger to the input, for the pinches in a table of inputs.
 
     Args:
         driven: sides of the hands that drive a robot.
@@ -49,7 +49,8 @@ def watched(
     press: Callable[[str], None],
     gaps: Mapping[str, float],
 ) -> Callable[[HandFrame, float], None]:
-    """Function that takes each frame and its time, and recognises the pinches of ``sides_of``."""
+    """Returns a function that takes each frame and its time, and recognises the pinches of
+    ``sides_of``."""
     hands = {side: Pinches(inputs, press, gaps) for side, inputs in pinches.items()}
 
     def see(frame: HandFrame, now: float) -> None:
@@ -60,7 +61,7 @@ def watched(
 
 
 class Pinches:
-    """Recognises pinches of one hand.
+    """Recognises the pinches of one hand.
 
     A pinch counts once, after thumb and finger have touched for 0.1 s. The next one counts after
     the hand has opened in view of the tracker. A fist does not count.
@@ -82,7 +83,7 @@ class Pinches:
         self._last = 0.0
 
     def see(self, frame: HandFrame, now: float) -> None:
-        """Takes a frame and the time of its reception [s]."""
+        """Processes a frame that was received at a time [s]."""
         points = frame.landmarks
         with np.errstate(invalid="ignore"):
             palm = np.linalg.norm(points[BASES[2]] - points[WRIST])

@@ -1,4 +1,4 @@
-"""Reports of a teleoperation to the user, in a terminal or through logging."""
+"""Reports on a teleoperation to the user, in a terminal or through logging."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _LOG = logging.getLogger("smooth_operator.teleop")
 
 
 class LoggingReporter(Reporter):
-    """Writes lines to the logger ``smooth_operator.teleop``, important ones as warnings."""
+    """Writes lines to the logger ``smooth_operator.teleop``; important ones are warnings."""
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """Log a line."""
+        """Logs a line."""
         _LOG.log(logging.WARNING if matters else logging.INFO, "%s", text)
 
     @contextlib.contextmanager
     def waiting(self, text: str) -> Iterator[None]:
-        """Log a message at the start of the block."""
+        """Logs a message at the start of the block."""
         self.note(text)
         yield
 
@@ -32,7 +32,7 @@ class LoggingReporter(Reporter):
 def summarise(
     loop: TeleopLoop, seconds: float, reporter: Reporter, more: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Summary of a loop that has ended.
+    """Makes the summary of a loop that has ended.
 
     Args:
         loop: the loop.

@@ -1,4 +1,4 @@
-"""Server and handlers for commands of other programs to a running loop (``teleop --control``).
+"""Lets other programs send commands to a running loop (``teleop --control``): server and handlers.
 
 A message is a command, or a JSON object with ``do``: ``stop``, ``release``, ``pause``, ``resume``,
 ``quit``, ``status`` and
@@ -104,7 +104,8 @@ class _Switched(NamedTuple):
 
 
 class RpcServer:
-    """Carries out the commands in messages. Used by one thread; replies may come from others.
+    """Carries out the commands in messages. One thread uses it; replies may come from other
+    threads.
 
     A stop is carried out on receipt, before all waiting messages. A release that is still waiting
     when a stop arrives is refused, since it was meant for an earlier stop.
@@ -145,11 +146,11 @@ class RpcServer:
 
     @property
     def idle(self) -> bool:
-        """True if neither a message nor the answer to a switch waits."""
+        """True if no message is waiting and no method switch is waiting for its reply."""
         return not self._waiting and not self._unconfirmed
 
     def hear(self, message: bytes, reply: Reply) -> None:
-        """Receive a message: a stop is carried out now, others wait for ``turn``.
+        """Receives a message. A stop is carried out at once; other commands wait for ``turn``.
 
         Args:
             message: a command, or a JSON object with ``do``.
@@ -172,7 +173,8 @@ class RpcServer:
             self._waiting.append(heard)
 
     def turn(self) -> None:
-        """Carry out the oldest waiting message, and answer confirmed switches."""
+        """Carries out the oldest waiting command, and replies to method switches that are
+        complete."""
         if self._waiting:
             message = self._waiting.popleft()
             try:
@@ -182,7 +184,7 @@ class RpcServer:
         self._confirm(time.monotonic())
 
     def finish(self) -> None:
-        """Answer all waiting messages at the end of the run."""
+        """Replies to all waiting messages at the end of the run."""
         while self._waiting:
             self._waiting.popleft().reply(_refusal("the run has ended"))
         self._confirm(math.inf)
@@ -283,7 +285,7 @@ def remote(
     handlers: Mapping[str, RpcHandler] = {},
     status: Callable[[], Mapping[str, Any]] = dict,
 ) -> Iterator[str]:
-    """Listen for commands of other programs while the loop runs.
+    """Accepts commands of other programs while the loop runs.
 
     Args:
         address: address on which to listen, such as ``tcp://127.0.0.1:5558``;
@@ -352,7 +354,7 @@ def remote(
 
 
 def check_address(address: str) -> None:
-    """Check that ``remote`` can listen on an address, before anything slow is done.
+    """Checks that ``remote`` can listen on an address, before any slow preparation.
 
     Raises:
         MissingExtraError, SourceError: as ``remote``.
@@ -390,7 +392,7 @@ _LOOK_S: Final = 0.5
 
 
 class RpcHandlers:
-    """Handlers of the commands that other programs send to a running loop.
+    """Carries out the commands that other programs send to a running loop.
 
     Args:
         loop: the loop.
@@ -411,7 +413,7 @@ class RpcHandlers:
 
     @property
     def by_command(self) -> dict[str, RpcHandler]:
-        """Handlers by the name of their command."""
+        """Maps the name of each command to the function that carries it out."""
         return {
             "method": self._method,
             "calibration": self._calibration,

@@ -1,4 +1,4 @@
-"""Switches of a running loop: actions of the operator, keys of the terminal, an external stop.
+"""Switches of a running loop: operator actions, terminal keys, and an external emergency stop.
 
 All inputs of the external stop fail safe: a broken wire, a missing file, an unplugged adapter or a
 missing heartbeat stops the robot. The input is read 200 times a second, on a thread of its own.
@@ -35,7 +35,7 @@ _NAMES: Final = {
 def actions(
     loop: TeleopLoop, bindings: Mapping[str, str], say: Callable[[str], None]
 ) -> dict[str, Callable[[], None]]:
-    """Actions of the loop by their names in ``ACTIONS``.
+    """Returns the actions of a loop, by their names in ``ACTIONS``.
 
     The page or another program may also change the robot's mode, so no state is kept here: a stop
     is always requested, and the other actions read the mode from the supervisors.
@@ -84,7 +84,7 @@ def actions(
 
 
 def help_line(bindings: Mapping[str, str], offered: Collection[str]) -> str:
-    """Line for a terminal with the inputs of all actions that are offered and have an input."""
+    """Line for a terminal that lists all offered actions that have an input, with their inputs."""
     order = dict.fromkeys((*ACTIONS, *offered))
     return "   ".join(
         f"{spoken(bindings, name)}: {ACTIONS[name][0] if name in ACTIONS else name}"
@@ -97,7 +97,7 @@ def help_line(bindings: Mapping[str, str], offered: Collection[str]) -> str:
 def pressing(
     bindings: Mapping[str, str], actions: Mapping[str, Callable[[], None]]
 ) -> Iterator[Callable[[str], None]]:
-    """Carries out the actions of inputs while the block runs.
+    """Carries out the actions of inputs on a separate thread while the block runs.
 
     Args:
         bindings: input -> action.
@@ -138,7 +138,7 @@ def pressing(
 
 @contextlib.contextmanager
 def terminal_keys(press: Callable[[str], None]) -> Iterator[bool]:
-    """Passes on the keys of the terminal as they are pressed, without waiting for a line.
+    """Passes on each key of the terminal as soon as it is pressed.
 
     On POSIX systems, arrow keys and others that send several characters count as Esc, because
     their sequence begins with it; the other characters are dropped.
@@ -231,7 +231,7 @@ FORMS: Final = "file:PATH, serial:PORT or udp:PORT"
 
 
 class StopInput:
-    """Input of an emergency stop.
+    """An external input for the emergency stop.
 
     Args:
         text: ``file:PATH``: released while the file's first character is 1, such as the value file
@@ -267,14 +267,14 @@ class StopInput:
             return True
 
     def close(self) -> None:
-        """Close port or socket."""
+        """Closes the port or socket."""
         with contextlib.suppress(Exception):
             self._close()
 
 
 @contextlib.contextmanager
 def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Iterator[None]:
-    """Watches an emergency stop input while the block runs, and stops the loop.
+    """Watches an external emergency stop while the block runs, and stops the loop.
 
     After the input is released, the loop stays stopped until a release by page, key or message.
 

@@ -1,4 +1,4 @@
-"""Runs trials of a study's task while a loop runs, started by inputs of the operator."""
+"""Runs trials of a task while a loop runs; inputs of the operator start them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class TaskTrials:
-    """Runs trials with each driven hand of a simulation.
+    """Runs trials on each driven hand of a simulation.
 
     Args:
         sinks: sinks of the run, perhaps with a simulation.
@@ -57,7 +57,7 @@ class TaskTrials:
 
     @property
     def actions(self) -> dict[str, Callable[[], None]]:
-        """Actions of the operator by their names in ``ACTIONS``."""
+        """Operator actions for trials, by their names in ``ACTIONS``."""
         if self._task is None:
             return {}
         return {
@@ -67,7 +67,7 @@ class TaskTrials:
         }
 
     def begin(self) -> None:
-        """Show the task of the open simulation; start a trial if no key or message can."""
+        """Shows the task in the open simulation; starts a trial if no key or message can."""
         simulation = simulated_hands(self._sinks)
         if simulation is None or (self._task is None and not self._controlled):
             return
@@ -84,14 +84,14 @@ class TaskTrials:
             self._act("go")
 
     def end(self) -> None:
-        """End the trials."""
+        """Ends the trials."""
         if self.runner is not None:
             self.runner.end()
             for failed in self.runner.failures:
                 self._reporter.note(failed, matters=True)
 
     def shown(self) -> dict[str, Any] | None:
-        """The trial as shown to the operator, without its score; None without a task.
+        """The trial as the operator sees it, without its score; None without a task.
 
         Returns:
             ``title`` and ``instruction`` of the task; ``number`` of the trial as counted by the
@@ -116,7 +116,7 @@ class TaskTrials:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Outcomes of each hand, for ``--json``; empty without trials."""
+        """Results of each hand's trials, for ``--json``; empty without trials."""
         if self.runner is None:
             return {}
         outcomes = self.runner.outcomes
@@ -145,8 +145,8 @@ class TaskTrials:
 
 
 def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
-    """The sinks of a run, with the simulation of its task; ConfigError if there already is a
-    simulation among the sinks."""
+    """Returns the sinks of a run, and the simulation of its task among them; ConfigError if there
+    already is a simulation among the sinks."""
     if task is None:
         return tuple(sinks)
     if any(sink.partition(":")[0] == "mujoco" for sink in sinks):

@@ -1,4 +1,4 @@
-"""Browser pages, and pictures of hands. Needs the ``teleop`` extra."""
+"""Browser pages and pictures of hands. Needs the ``teleop`` extra."""
 
 from smooth_operator.errors import require
 from smooth_operator.lazy_names import public_names

@@ -1,4 +1,4 @@
-"""Writes an animated picture of a retargeted recording: human and robot hands side by side."""
+"""Writes an animated picture of a retargeted recording, with human and robot hands side by side."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def save_clip(
     *,
     track: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> None:
-    """Writes a GIF or WebP that loops.
+    """Writes an animated GIF or WebP that plays in a loop.
 
     Args:
         runs: runs to draw: the human hand of the first run, and the robot hand of each.

@@ -1,4 +1,5 @@
-"""Server in front of viser's: it checks each request, adds scripts to the page and relays the rest.
+"""Server in front of viser's server: it checks each request, adds scripts to the page and relays
+the rest.
 
 viser can neither check requests nor add scripts. So viser listens on a loopback address that
 nothing else knows, and a server of this package relays requests to it.
@@ -44,14 +45,15 @@ _LARGEST: Final = 50 << 20  # size of the largest message [bytes], as in viser
 
 
 def hidden_address() -> str:
-    """A random loopback address, since a foreign page in a local browser can try the usual one."""
+    """A random loopback address, because a malicious page in a local browser can try the usual
+    one."""
     if sys.platform == "darwin":  # which has only the usual one
         return "127.0.0.1"
     return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
 
 
 class GuardedServer(viser.ViserServer):
-    """A viser server behind a port that asks for a token, or for a browser of this machine.
+    """A viser server on a port that requires a token or a browser on this machine.
 
     Args:
         host: address to listen on.
@@ -78,13 +80,14 @@ class GuardedServer(viser.ViserServer):
         return self.front.port
 
     def stop(self) -> None:
-        """Closes the port; viser then prints a line from its own thread."""
+        """Closes the port. Viser then prints a line from its own thread."""
         self.front.stop()
         super().stop()
 
 
 class Front:
-    """Server that answers or refuses a request, or relays it to viser at ``behind`` (host, port).
+    """Server that answers or refuses a request, or relays it to the viser server ``behind`` it
+    (host, port).
 
     Attributes:
         token: token of the page; None if only this machine can connect.

@@ -1,4 +1,5 @@
-"""Browser page that shows one robot hand: shape, landmarks, palm frame, a slider for each joint."""
+"""Browser page that shows one robot hand: shape, landmarks, palm frame, and a slider for each
+joint."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ _TRANSLUCENT: Final = 0.5  # opacity of the shape, so that landmarks inside it a
 
 
 class HandPage(PageServer):
-    """Serves the page; see ``PageServer``.
+    """Serves the page of one robot hand; see ``PageServer``.
 
     Args:
         hand: the robot hand.
@@ -51,7 +52,7 @@ class HandPage(PageServer):
 
     @property
     def title(self) -> str:
-        """The hand's name."""
+        """Name of the hand."""
         return self.hand.name
 
     def _build(self, server: viser.ViserServer) -> None:
@@ -61,7 +62,7 @@ class HandPage(PageServer):
 
     @property
     def joint_positions(self) -> Float[np.ndarray, " m"]:
-        """(m,) positions of the actuated joints on the page [rad]."""
+        """(m,) positions of the actuated joints that the page shows [rad]."""
         with self._lock:
             return self._q.copy()
 
@@ -73,7 +74,7 @@ class HandPage(PageServer):
             self._draw()
 
     def reset(self) -> None:
-        """Returns to the neutral pose."""
+        """Returns the hand to its neutral pose."""
         for slider, position in zip(self._sliders, self.hand.neutral, strict=True):
             slider.value = float(position)
         with self._lock:

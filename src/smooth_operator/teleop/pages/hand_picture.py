@@ -29,7 +29,7 @@ _COLORS: Final = 96  # of the PNG's palette: a fifth of the bytes, and no eye se
 
 
 def hand_figure(hand: Hand, *, simple: bool = False) -> Figure:
-    """Draws a hand as seen from the palm's and the thumb's side, and a list of its joints.
+    """Draws a hand seen from the palm's side and from the thumb's side, with a list of its joints.
 
     Args:
         simple: draw simple shapes even if the model has meshes.

@@ -1,4 +1,4 @@
-"""Shape, colours and axes of a robot hand for pages and pictures, and placement of the camera."""
+"""Shape, colours and axes of a robot hand for pages and pictures, and where to place the camera."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class HandView:
-    """Surfaces of a robot hand and their poses in the palm frame [m].
+    """Surfaces of a robot hand, and their poses in the palm frame [m].
 
     With ``simple``, the surfaces are simple shapes even if the model has meshes.
     """
@@ -41,7 +41,7 @@ class HandView:
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """(3, 3) rows: right, up (distal) and toward a viewer who looks at the palm."""
+        """(3, 3) rows that point right, up (distal) and towards a viewer who looks at the palm."""
         if self.hand.spec.gripper:  # it has no palm to lay a human one on
             return view_basis(self.hand)
         distal, radial, palmar = human_palm_axes(self.hand)
@@ -52,7 +52,7 @@ class HandView:
     def bodies(
         self, q: Float[np.ndarray, " m"]
     ) -> dict[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
-        """Rotation and position of each body with a mesh, at actuated joint positions q [rad]."""
+        """Rotation and position of each body with a mesh, for actuated joint positions q [rad]."""
         self._data.qpos[:] = self.hand.qpos(self.hand.full_configuration(q))
         mujoco.mj_kinematics(self.hand.model, self._data)
         rotation = self._data.xmat.reshape(-1, 3, 3)
@@ -91,7 +91,7 @@ class HandView:
         return cut or self.meshes
 
     def bones(self) -> list[tuple[int, int, int]]:
-        """(finger, from, to) for each line between landmarks, as indices into ``hand.tree``."""
+        """Each line between landmarks as (finger, from, to), with indices into ``hand.tree``."""
         names = self.hand.tree.names
         lines = []
         for number, finger in enumerate(self.hand.fingers):
@@ -141,7 +141,8 @@ hand, which would widen the picture."""
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Surface of a geom in its frame [m]; None for planes, height fields and distance fields."""
+    """Surface of a geom in the geom's frame [m]; None for planes, height fields and distance
+    fields."""
     size = model.geom_size[geom]
     kind = int(model.geom_type[geom])
     kinds = mujoco.mjtGeom
@@ -167,7 +168,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 def body_meshes(
     model: mujoco.MjModel, bodies: Bool[np.ndarray, " nbody"] | None = None
 ) -> dict[int, trimesh.Trimesh]:
-    """Body -> mesh of its geoms in its frame [m].
+    """Maps each body to the mesh of its geoms, in the body's frame [m].
 
     Uses the geoms of the visible groups or, if those are empty, all geoms. Vertices are split along
     sharp edges, so that averaged normals shade both curves and corners well.
@@ -201,7 +202,8 @@ def body_meshes(
 
 
 def finger_of_body(hand: Hand) -> Int[np.ndarray, " nbody"]:
-    """(nbody,) index of the finger of each body, -1 for the palm and all other bodies.
+    """(nbody,) index of the finger to which each body belongs; -1 for the palm and all other
+    bodies.
 
     A finger is the chain from its tip's body up to the first shared body, with all children.
     """
@@ -238,7 +240,8 @@ def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
 
 
 def coarser(mesh: trimesh.Trimesh, most: int = _MOST_FACES) -> trimesh.Trimesh:
-    """Simplifies a mesh to at most ``most`` triangles; merges the vertices in each cell of a grid.
+    """Simplifies a mesh to at most ``most`` triangles, by merging the vertices in each cell of a
+    grid.
 
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations" (1993).
     """
@@ -278,12 +281,12 @@ PALM: Final[Rgb] = (205, 205, 212)
 
 
 def finger_colors(count: int) -> UInt8[np.ndarray, "F 3"]:
-    """(F, 3) colours of the first ``count`` fingers; they repeat after five."""
+    """(F, 3) colours of the first ``count`` fingers; they repeat after five fingers."""
     return np.array([FINGER_COLORS[i % len(FINGER_COLORS)] for i in range(count)], np.uint8)
 
 
 def linear(colors: UInt8[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
-    """Converts sRGB colours to linear light, both 0 to 255.
+    """Converts sRGB colours to linear light; both range from 0 to 255.
 
     viser interprets the colours of instances and vertices as linear, and those of nodes as sRGB.
     """
@@ -312,7 +315,7 @@ _TILT = np.deg2rad(8.0)  # angle between camera and palm normal, which shows dep
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Placement of hands side by side, in the palm frame [m].
+    """Where hands are placed side by side, in the palm frame [m].
 
     Attributes:
         human_shift, robot_shifts: offsets of the human and of each robot hand.
@@ -336,7 +339,7 @@ def camera_for(
     covered: float = 0.0,
     above: float = 0.0,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Position and look-at point of a camera that shows a whole picture.
+    """Position and look-at point of a camera that sees the whole picture.
 
     Args:
         axes, centre, half: the picture; see ``Aiming``.
@@ -361,7 +364,7 @@ def plan(
     wrist: Float[np.ndarray, "3"],
     *robots: Float[np.ndarray, "_ 3"],
 ) -> Layout:
-    """Computes the layout for a recording: the human hand, with each robot hand to its right.
+    """Plans the layout for a recording: the human hand, and the robot hands to its right.
 
     Args:
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
@@ -409,7 +412,8 @@ def _above(
 
 
 def view_axes(view: HandView) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) rows: right, up and toward the viewer, snapped to the palm frame's axes if close.
+    """(3, 3) rows that point right, up and towards the viewer, snapped to the palm frame's axes if
+    close.
 
     Models are built along their axes, and a forearm that leans by 10 degrees looks like an error.
     """
@@ -431,7 +435,7 @@ _MOST_BELOW, _MOST_ABOVE = 0.6, 0.2  # largest shares of a canvas that panels ta
 
 
 class Aiming:
-    """Aims the cameras of all browsers at a picture.
+    """Aims the cameras of all browsers at the picture.
 
     Args:
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
@@ -465,7 +469,7 @@ class Aiming:
         camera.fov, camera.near, camera.far = FOV, 0.005, 50.0
 
     def aim(self, client: viser.ClientHandle) -> None:
-        """Aims one browser's camera at the picture, according to the shape of its canvas."""
+        """Aims one browser's camera at the picture, depending on the shape of its canvas."""
         camera = client.camera
         height = max(camera.image_height, 1)
         panel = min(self._below / height, _MOST_BELOW)
@@ -483,7 +487,7 @@ class Aiming:
         aims.append(((camera.image_width, camera.image_height), position))
 
     def greet(self, client: viser.ClientHandle) -> None:
-        """Aims a browser's camera, now and when its canvas changes shape.
+        """Aims a browser's camera now, and again whenever its canvas changes shape.
 
         A canvas changes when the panel docks, a window is resized or a phone is turned. If the user
         has moved the view, it is left alone.

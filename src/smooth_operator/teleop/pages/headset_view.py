@@ -1,4 +1,5 @@
-"""Scene of the live page as messages for a headset's page, which draws it around the operator.
+"""Describes the live page's scene in messages for a headset's page, which draws it around the
+operator.
 
 The page has no kinematics: it gets the shapes once, and then the poses of all bodies.
 """
@@ -78,7 +79,8 @@ class _Node:
 
 
 class NodeList:
-    """Stands in for the scene of a viser server: keeps the nodes and tells what has changed.
+    """Takes the place of a viser server's scene: stores the nodes and reports which ones have
+    changed.
 
     Attributes:
         number: a new number whenever a node was added or removed.
@@ -101,7 +103,7 @@ class NodeList:
     def add_batched_axes(
         self, name: str, batched_wxyzs: Any, batched_positions: Any, **values: Any
     ) -> _Node:
-        """Adds instances of three axes."""
+        """Adds several sets of three axes."""
         long, thin = values.pop("axes_length"), 2 * values.pop("axes_radius")
         sizes = thin + (long - thin) * np.eye(3)
         rods = [trimesh.creation.box(s).apply_translation((s - thin) / 2) for s in sizes]
@@ -122,7 +124,7 @@ class NodeList:
     def add_batched_meshes_simple(
         self, name: str, vertices: Any, faces: Any, **values: Any
     ) -> _Node:
-        """Adds instances of a mesh."""
+        """Adds several instances of a mesh."""
         return self._add(name, (vertices, faces), values)
 
     def remove(self, node: _Node) -> None:
@@ -131,11 +133,11 @@ class NodeList:
         self.number = next(_NUMBERS)
 
     def index(self, node: _Node) -> int:
-        """Place of a node in the description."""
+        """Position of a node in the description."""
         return list(self._nodes.values()).index(node)
 
     def describe(self) -> list[dict[str, Any]]:
-        """All nodes, as JSON values; the next ``changes`` contain the state of each."""
+        """Describes all nodes as JSON values; the next ``changes`` have the state of each."""
         self._sent.clear()
         nodes = list(self._nodes.values())
         described = []
@@ -156,8 +158,8 @@ class NodeList:
         return described
 
     def changes(self) -> tuple[list[int], str]:
-        """Indices of the nodes that changed since the last call, and their ``values`` in
-        sequence: float32 in base64."""
+        """Returns the indices of the nodes that changed since the last call, and the ``values`` of
+        these nodes, one after another: float32 in base64."""
         changed: list[int] = []
         content: list[bytes] = []
         for number, node in enumerate(self._nodes.values()):
@@ -182,7 +184,7 @@ def _text(array: np.ndarray) -> str:
 
 
 class HeadsetView:
-    """Answers a headset's page; see ``webxr.link`` for the messages.
+    """Answers requests of a headset's page; see ``webxr.link`` for the messages.
 
     Args:
         session: state of the run.
@@ -207,8 +209,8 @@ class HeadsetView:
         self._next_fit: dict[Side, float] = {}
 
     def look(self, number: object) -> dict[str, Any]:
-        """Returns the message ``view``, with the shapes if ``number`` is not that of the shapes now
-        on show."""
+        """Returns the message ``view``, with the shapes if ``number`` is not that of the current
+        shapes."""
         try:
             state = self._session.look(text=False, scenery=self._scene.scenery_number)
             self._scene.draw(state["hands"])
@@ -233,8 +235,8 @@ class HeadsetView:
         return message
 
     def picture(self, camera: object) -> bytes | None:
-        """Returns the newest picture of a camera: its number and time in ``PICTURE``, and the
-        JPEG."""
+        """Returns the newest picture of a camera: its number and time, packed with ``PICTURE``,
+        then the JPEG."""
         cameras = self._session.cameras
         if cameras is None or not isinstance(camera, int) or (shot := cameras.shot(camera)) is None:
             return None

@@ -1,4 +1,4 @@
-"""Player for retargeted recordings, as a local web page."""
+"""Player for retargeted recordings, on a local web page."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from smooth_operator.types import Status
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """A retargeted run for the player.
+    """A retargeted recording for the player.
 
     Attributes:
         title: title of the page.
@@ -80,7 +80,7 @@ class Playback:
 
     @property
     def times(self) -> Float[np.ndarray, " T"]:
-        """(T,) seconds since the first frame."""
+        """(T,) times since the first frame [s]."""
         return np.asarray(self.trace.stamps - self.trace.stamps[0])
 
     @property
@@ -89,7 +89,7 @@ class Playback:
         return [TIPS[FINGERS.index(name)] for name in self.trace.fingers]
 
     def pinches(self) -> Bool[np.ndarray, "T G"]:
-        """(T, F-1) True where the human pinches; False where the hand is lost."""
+        """(T, F-1) True where the human pinches; False where the tracker lost the hand."""
         return pinched_frames(self.trace.human_tips)
 
 
@@ -114,7 +114,8 @@ def check_runs(runs: Sequence[Playback]) -> None:
 
 
 class PlaybackClock:
-    """Maps wall time [s] to frames of a recording; a slow player skips frames to stay on time."""
+    """Converts wall time [s] to frames of a recording. A slow player skips frames to stay on
+    time."""
 
     def __init__(
         self, times: Float[np.ndarray, " T"], speed: float = 1.0, loop: bool = True
@@ -136,7 +137,7 @@ class PlaybackClock:
         self._wall, self._speed = now, speed
 
     def frame(self, now: float) -> tuple[int, bool]:
-        """The frame that is due at wall time ``now`` [s]; True if playback has ended."""
+        """The frame that is due at wall time ``now`` [s], and True if playback has ended."""
         time = self._time + (now - self._wall) * self._speed
         if time >= self._duration:
             if not self.loop or self._duration <= 0.0:
@@ -154,7 +155,8 @@ _REST = 0.3  # time after which a slider that does not move counts as released [
 
 
 class PlaybackServer(PageServer):
-    """Serves the page; see ``PageServer``. Any thread may call the controls; one thread draws.
+    """Serves the player's page; see ``PageServer``. Any thread may call the controls; one thread
+    draws.
 
     Args:
         playback: motion to show; several runs over the same frames are shown side by side.
@@ -184,7 +186,7 @@ class PlaybackServer(PageServer):
 
     @property
     def title(self) -> str:
-        """Title of the first run."""
+        """Title of the first run, which is the page's title."""
         return self.playback.title
 
     def _build(self, server: GuardedServer) -> None:
@@ -227,14 +229,14 @@ class PlaybackServer(PageServer):
             self._go(index % count)
 
     def play(self) -> None:
-        """Starts playback; if the last frame is shown, from the beginning."""
+        """Starts playback. If the last frame is shown, starts from the beginning."""
         with self._change():
             at_end = self._frame == len(self.playback) - 1
             self._go(0 if at_end else self._frame)
             self._playing = True
 
     def pause(self) -> None:
-        """Holds the current frame."""
+        """Stops at the current frame."""
         with self._change():
             self._playing = False
 
@@ -243,20 +245,20 @@ class PlaybackServer(PageServer):
         (self.pause if self._playing else self.play)()
 
     def step(self, frames: int) -> None:
-        """Pauses and moves by a number of frames; wraps around if the recording loops."""
+        """Pauses and moves by a number of frames; wraps around if playback loops."""
         with self._change():
             self._playing = False
             count, target = len(self.playback), self._frame + frames
             self._go(target % count if self._clock.loop else min(max(target, 0), count - 1))
 
     def scrub(self, frame: int) -> None:
-        """Goes to the slider's frame; playback waits until the slider stops moving."""
+        """Goes to the slider's frame. Playback continues when the slider stops moving."""
         with self._change():
             self._go(min(max(int(frame), 0), len(self.playback) - 1))
             self._held_until = time.monotonic() + _REST
 
     def set_speed(self, speed: float) -> None:
-        """Sets playback seconds per second; raises ConfigError outside 0.1 to 4."""
+        """Sets the playback speed relative to real time; ConfigError outside 0.1 to 4."""
         if not SPEEDS[0] <= speed <= SPEEDS[1]:
             raise ConfigError(f"speed must be in {SPEEDS[0]}..{SPEEDS[1]}, not {speed}")
         with self._change():
@@ -269,7 +271,7 @@ class PlaybackServer(PageServer):
             self._clock.loop = loop
 
     def set_overlay(self, overlay: bool) -> None:
-        """Puts all hands in one place, or side by side."""
+        """Shows all hands in one place, or side by side."""
         with self._change():
             self._jobs.append(lambda: self._scene.set_overlay(overlay))
 
@@ -386,7 +388,7 @@ def serve(
 
 
 class Scene:
-    """3D scene with the human hand of the first run and the robot hand of each run."""
+    """3D scene with the human hand of the first run, and the robot hand of each run."""
 
     def __init__(self, server: viser.ViserServer, runs: Sequence[Playback]) -> None:
         self._runs = tuple(runs)
@@ -410,7 +412,7 @@ class Scene:
         self.set_overlay(False)
 
     def draw(self, frame: int) -> None:
-        """Shows one frame of all hands."""
+        """Shows all hands in one frame."""
         roots = [*self.row.roots.values()][1:]
         for run, robot, root, place in zip(
             self._runs, self.robots, roots, self._places, strict=True
@@ -423,7 +425,7 @@ class Scene:
         self.row.draw(self._runs[0].trace.human[frame], tips, self._pinches[frame])
 
     def set_overlay(self, overlay: bool) -> None:
-        """Puts all hands in one place, or side by side."""
+        """Shows all hands in one place, or side by side."""
         shifts = (self._layout.human_shift, *self._layout.robot_shifts)
         places = [np.zeros(3) if overlay else shift for shift in shifts]
         for root, place in zip(self.row.roots.values(), places, strict=True):
@@ -465,7 +467,7 @@ _STEPS: Final = {"−1 (J)": -1, "+1 (L)": 1}
 
 
 class Panel:
-    """Controls of the player."""
+    """Control panel of the player."""
 
     def __init__(
         self, gui: viser.GuiApi, runs: Sequence[Playback], controls: PlaybackServer, loop: bool
@@ -512,7 +514,7 @@ class Panel:
         gui.main_panel.dock_right()
 
     def show(self, frame: int, playing: bool) -> None:
-        """Updates the status line, the slider and the play button for a frame."""
+        """Updates the status line, the slider and the play button."""
         self._status.content = status_line(self._runs, frame)
         self._slider.value = frame
         self._play.label = _PAUSE if playing else _PLAY
@@ -520,7 +522,7 @@ class Panel:
 
 
 def status_line(runs: Sequence[Playback], frame: int) -> str:
-    """Lines under the title, as HTML: frame and time; status and solving time of each run."""
+    """Lines under the title, as HTML: frame and time, then each run's status and solving time."""
     times = runs[0].times
     parts = (
         f"<b>frame {frame}</b>/{len(times) - 1}",
@@ -548,7 +550,7 @@ def _status_text(run: Playback, frame: int, named: bool) -> str:
 
 
 def legend(fingers: Sequence[str]) -> str:
-    """Legend of the fingers' colours as HTML."""
+    """Legend of the fingers' colours, as HTML."""
     chips = "".join(
         f'<span style="white-space:nowrap;margin-right:0.7em"><span style="color:{css(color)}">⬤'
         f"</span> {html.escape(name)}</span>"

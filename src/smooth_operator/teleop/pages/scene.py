@@ -1,4 +1,5 @@
-"""Draws hands in a browser's scene: human hand, robot bodies, fingertips, keyvectors, labels.
+"""Draws hands in the scene of a browser page: human hand, robot bodies, fingertips, keyvectors,
+labels.
 
 All moving parts are batches of instances, even single bodies. viser draws the pose of a node in
 the next picture, but other properties in the picture after that, so that bodies and lines would
@@ -47,7 +48,7 @@ def add_balls(
     radii: Float[np.ndarray, " k"],
     colors: UInt8[np.ndarray, "k 3"],
 ) -> Any:
-    """Adds spheres to a scene, as one node."""
+    """Adds several spheres to a scene as one node."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
     return scene.add_batched_meshes_simple(
         name,
@@ -62,7 +63,7 @@ def add_balls(
 
 
 class HumanView:
-    """Human hand drawn as spheres and rods; ``tips`` are its fingertip landmarks, thumb first."""
+    """Draws a human hand as spheres and rods; ``tips`` are its fingertip landmarks, thumb first."""
 
     def __init__(self, scene: viser.SceneApi, tips: Sequence[int], root: str) -> None:
         self._tips = np.array(tips)
@@ -95,7 +96,7 @@ class HumanView:
         )
 
     def draw(self, landmarks: Float[np.ndarray, "21 3"], pinched: Bool[np.ndarray, " G"]) -> None:
-        """Shows landmarks [m], NaN for missing ones; pinching fingertips are larger and
+        """Shows landmarks [m], NaN for missing ones. Pinching fingertips are larger and
         highlighted."""
         present = np.isfinite(landmarks).all(axis=-1)
         points = np.where(present[:, None], landmarks, 0.0)
@@ -117,13 +118,13 @@ class HumanView:
 
 
 def lit_tips(pinched: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " F"]:
-    """(F,) True for fingertips in a pinch; the thumb's is True if any other is."""
+    """(F,) True for fingertips that pinch; the thumb's is True if any finger pinches."""
     return np.concatenate([[pinched.any()], pinched])
 
 
 def keyvector_colors(fingers: int, pinched: Bool[np.ndarray, " G"]) -> UInt8[np.ndarray, "G 2 3"]:
-    """(F-1, 2, 3) linear colours of the thumb-to-tip lines: the finger's colour or the
-    highlight."""
+    """(F-1, 2, 3) linear colours of the thumb-to-tip lines: the finger's colour, or the highlight
+    colour."""
     colors = np.where(pinched[:, None], np.array(HIGHLIGHT), finger_colors(fingers)[1:])
     return np.repeat(linear(colors)[:, None], 2, axis=1)
 
@@ -156,7 +157,7 @@ def add_body(
     size: float = 1.0,
     flat: bool = False,
 ) -> Any:
-    """Adds a rigid surface, which ``put`` moves.
+    """Adds a rigid surface to a scene; ``put`` moves it.
 
     Args:
         color: sRGB, 0 to 255.
@@ -187,7 +188,7 @@ def put(
     wxyz: Float[np.ndarray, "4"],
     pose: Float[np.ndarray, "7"] | None = None,
 ) -> None:
-    """Moves a node from ``add_body`` to a position [m] and quaternion.
+    """Moves a node that ``add_body`` made to a position [m] and quaternion.
 
     Args:
         pose: pose, in the node's parent, of the frame in which position and quaternion are given;
@@ -242,13 +243,13 @@ class BodyNodes:
     def draw(
         self, qpos: Float[np.ndarray, " nq"], pose: Float[np.ndarray, "7"] | None = None
     ) -> None:
-        """Shows joint positions; ``pose`` is the pose of the model's world, see ``put``."""
+        """Shows the model at joint positions; ``pose`` is the pose of its world, see ``put``."""
         self._place(qpos)
         for body, node in self.nodes.items():
             put(node, self.data.xpos[body].copy(), self.data.xquat[body].copy(), pose)
 
     def corners(self, qpos: Float[np.ndarray, " nq"]) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) corners of the bodies' boxes, in the model's world frame [m]."""
+        """(N, 3) corners of the bodies' bounding boxes, in the model's world frame [m]."""
         self._place(qpos)
         return np.concatenate(
             [
@@ -259,7 +260,7 @@ class BodyNodes:
         )
 
     def show(self, visible: bool, opacity: float | None) -> None:
-        """Shows or hides the bodies; None as opacity draws them solid."""
+        """Shows or hides the bodies. With None as the opacity, they are solid."""
         for node in self.nodes.values():
             node.visible, node.opacity = visible, opacity
 
@@ -269,7 +270,7 @@ class BodyNodes:
 
 
 class RobotBodies:
-    """Draws a robot hand in its palm frame, and a translucent second one where it differs.
+    """Draws a robot hand in its palm frame, and a second, translucent hand where it differs.
 
     Args:
         hand: the robot hand, which defines the order of the joints.
@@ -305,20 +306,20 @@ class RobotBodies:
     def draw(
         self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None
     ) -> None:
-        """Shows joint positions [rad]; ``other`` are those of the second hand, if they differ."""
+        """Shows joint positions [rad]; ``other`` are those of the second hand, if different."""
         self.first.draw(self._qpos(every), self._pose)
         if self.other is not None:
             self.other.draw(self._qpos(every if other is None else other), self._pose)
 
     @property
     def tips(self) -> Float[np.ndarray, "F 3"]:
-        """(F, 3) fingertips of the hand that was drawn last, in the palm frame [m]."""
+        """(F, 3) fingertips of the hand that was drawn last, in its palm frame [m]."""
         data = self.first.data
         tips = [data.xmat[body].reshape(3, 3) @ at + data.xpos[body] for body, at in self._tips]
         return self._in_palm(np.array(tips))
 
     def corners(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) corners of the bodies' boxes, in the palm frame [m]."""
+        """(N, 3) corners of the bodies' bounding boxes, in the palm frame [m]."""
         return self._in_palm(self.first.corners(self._qpos(every)))
 
     def _in_palm(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
@@ -366,11 +367,11 @@ class RobotLooks:
 
     @property
     def shown(self) -> RobotBodies:
-        """The bodies that are currently shown."""
+        """The bodies that are shown at present."""
         return self._looks[0 if self.meshes else -1]
 
     def add(self, view: HandView) -> None:
-        """Adds a model, to be preferred to the others."""
+        """Adds a model of the hand, which is preferred to earlier ones."""
         name, distal = f"{self._root}_{len(self._looks)}", self._distal
         meshes = view.meshes if distal is None else view.without_forearm(FOREARM, distal)
         look = RobotBodies(self._scene, self._hand, view, name, meshes, self._second)
@@ -385,7 +386,7 @@ class RobotLooks:
         self.shown.draw(every, other)
 
     def show(self, **choices: Any) -> None:
-        """Sets attributes and shows the hand accordingly."""
+        """Sets attributes of this object, and shows the hand accordingly."""
         vars(self).update(choices)
         self.shown.draw(*self._pose)
         for look in self._looks:
@@ -406,7 +407,7 @@ def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
 
 
 class TargetMarks:
-    """Draws the method's target for each fingertip, with a line from the robot's fingertip."""
+    """Marks the method's target for each fingertip, with a line from the robot's fingertip."""
 
     def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
         palette = finger_colors(count)
@@ -418,8 +419,8 @@ class TargetMarks:
         )
 
     def draw(self, targets: Sequence[float] | None, tips: Float[np.ndarray, "F 3"]) -> None:
-        """Shows targets (3 F numbers) [m], None for a method without targets, and the robot's tips
-        [m]."""
+        """Shows targets (3 F numbers) [m], or none for a method without targets, and lines from the
+        robot's tips [m]."""
         places = tips if targets is None else np.reshape(targets, (-1, 3))
         size = 0.0 if targets is None else _TARGET
         self._balls.batched_positions = places
@@ -432,7 +433,8 @@ class TargetMarks:
 
 
 class HandRow:
-    """Draws a human hand and robot hands, each with a frame, a label, fingertips and keyvectors.
+    """Draws a human hand and robot hands in a row, each with a frame, a label, fingertips and
+    keyvectors.
 
     The frames are named ``ROOT/NAME``. Fingertips in a pinch are larger and highlighted.
 
@@ -480,7 +482,7 @@ class HandRow:
         pinched: Bool[np.ndarray, " G"],
         contact: Sequence[float] | None = None,
     ) -> None:
-        """Shows the landmarks and each robot's fingertips, in the hands' frames [m].
+        """Shows the human's landmarks and each robot's fingertips, in the frames of the hands [m].
 
         The more contact (0 to 1) a robot's fingertip has, the redder and larger it is.
         """

@@ -1,4 +1,4 @@
-"""Base of the pages that use viser: server, port, scripts, hotkeys, and ending with Ctrl-C."""
+"""Base of the pages that use viser: server, port, scripts, hotkeys, and an end with Ctrl-C."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from smooth_operator.web.browser import open_page
 
 
 def open_server(host: str, port: int, alive: Callable[[], bool] = lambda: True) -> GuardedServer:
-    """Opens a server on the first free port.
+    """Opens a viser server on the first free port.
 
     If other machines can reach it, it asks for the token that ``page_url`` contains.
 
@@ -48,13 +48,13 @@ def read_script(package: str, name: str) -> str:
 
 
 def name_panel(gui: viser.GuiApi, name: str) -> None:
-    """Sets the dark theme of a page and the name of its panel."""
+    """Gives a page the dark theme, and its control panel a name."""
     gui.set_panel_label(name)
     gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
 
 
 def name_tab(server: GuardedServer, title: str) -> None:
-    """Sets the title of the browser's tab, at any time."""
+    """Sets the title of the browser tab, at any time."""
     text = f'<i hidden data-title="{html.escape(title)}"></i>'
     if server.tab is None:
         server.tab = server.gui.add_html(text)
@@ -63,7 +63,7 @@ def name_tab(server: GuardedServer, title: str) -> None:
 
 
 def page_url(host: str, server: GuardedServer) -> str:
-    """Address of a page with its token.
+    """Address of a page, including its token.
 
     Args:
         host: address on which it listens; for ``0.0.0.0`` and ``::`` the result contains this
@@ -80,7 +80,7 @@ _SIGNS: Final = re.compile(r"^(?:i(?=mport)|e(?=xport))|[!-/:-@\[-`{-~]")
 
 
 def plain(text: str) -> str:
-    """Escapes a text as Markdown that shows it literally, in one line.
+    """Escapes a text as Markdown that shows it literally, on one line.
 
     viser compiles Markdown as MDX, which can contain HTML and JavaScript. A text from a file must
     run neither, so each character with a special meaning is replaced by its numeric entity.
@@ -89,14 +89,15 @@ def plain(text: str) -> str:
 
 
 def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, str, Callable[[], None]]) -> None:
-    """Adds hotkeys: (name, a letter, digit or name such as ``space``, action)."""
+    """Adds hotkeys, each given as (name, key, action); the key is a letter, a digit or a name such
+    as ``space``."""
     for name, key, action in hotkeys:
         viser_key: Any = key.upper() if len(key) == 1 else key
         gui.add_command(name, hotkey=viser_key).on_trigger(from_person(lambda _, do=action: do()))
 
 
 def from_person(action: Callable[..., None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-    """Wraps an action as a callback that only runs for events from a user's browser.
+    """Wraps an action as a callback that runs only for events from a user's browser.
 
     viser also calls back when the program writes a value; such events have no client. The result is
     a coroutine, since viser runs coroutines in order, but plain functions in a thread pool without
@@ -111,7 +112,7 @@ def from_person(action: Callable[..., None]) -> Callable[[Any], Coroutine[Any, A
 
 
 class PageServer:
-    """Serves a page. Use it as a context manager, or call ``start`` and ``stop``.
+    """Serves a browser page. Use it as a context manager, or call ``start`` and ``stop``.
 
     Args:
         host: address to listen on. By default only this machine can reach the page; with another
@@ -127,7 +128,7 @@ class PageServer:
 
     @property
     def title(self) -> str:
-        """Title of the browser's tab."""
+        """Title of the browser tab."""
         raise NotImplementedError
 
     def _build(self, server: GuardedServer) -> None:
@@ -163,7 +164,7 @@ class PageServer:
         self._ended.set()
 
     def wait(self) -> None:
-        """Blocks until ``stop``, or until the page fails, and then raises its error."""
+        """Blocks until ``stop`` is called. If the page fails, raises its error."""
         while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
             pass
         if self._error is not None:
@@ -182,7 +183,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Address of the page with its token; raises ConfigError before ``start``."""
+        """Address of the page, including its token; raises ConfigError before ``start``."""
         return page_url(self._host, self._serving())
 
     def _serving(self) -> GuardedServer:

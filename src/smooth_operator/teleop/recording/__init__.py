@@ -1,4 +1,4 @@
-"""Reads and writes recordings of the live loop: MCAP logs, and conversion to other formats."""
+"""Reads and writes recordings of the live loop (MCAP logs), and converts them to other formats."""
 
 from smooth_operator.lazy_names import public_names
 

@@ -40,7 +40,7 @@ SUFFIXES: Final[dict[str, Format]] = {
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """File or dataset from which one episode is read.
+    """A file or dataset from which one episode is read.
 
     Attributes:
         path: the file, or the folder of a LeRobot dataset.
@@ -77,7 +77,7 @@ def read_episode(
     layout: str | None = None,
     episode: int = 0,
 ) -> Episode:
-    """Read an episode, that is, the hand and the commands of a file of any format.
+    """Reads an episode, that is, the hand and the commands in a file of any format.
 
     Args:
         path: a recording (see ``read_recording``), the ``OUT.npz`` of a retargeting, a log, an HDF5
@@ -120,7 +120,7 @@ def read_episode(
 
 
 def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | None = None) -> None:
-    """Write an episode to a file atomically.
+    """Writes an episode to a file atomically.
 
     Args:
         path: the file; its folder must exist.
@@ -148,7 +148,7 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
 
 def losses(episode: Episode, to: Format) -> list[str]:
-    """Describes, for messages, the parts of an episode that a format can't store."""
+    """Lists, for messages, the parts of an episode that a format can't store."""
     lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
     return lost
 
@@ -178,7 +178,7 @@ def format_of(path: Path, to: Format | None) -> Format:
 def find_sources(
     inputs: Sequence[Path], *, episode: int | None = None, leave: Sequence[Path] = ()
 ) -> tuple[list[Source], list[str]]:
-    """Find all episodes in the inputs.
+    """Finds all episodes in the inputs.
 
     Args:
         inputs: files, datasets, and folders of these. Folders are searched recursively; hidden
@@ -234,8 +234,8 @@ def find_sources(
 
 
 def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool) -> None:
-    """Check that an output can be written, without writing it; OutputError if the output exists and
-    ``overwrite`` is False, or it was not written by this program, or is one of the inputs."""
+    """Checks that an output can be written, without writing it. OutputError if the output exists
+    and ``overwrite`` is False, was not written by this program, or is one of the inputs."""
     if not os.path.lexists(path):
         return
     if any(entry.exists() and entry.samefile(path) for entry in inputs if path.exists()):

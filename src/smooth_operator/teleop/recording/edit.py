@@ -1,4 +1,4 @@
-"""Cuts and marks the log of a take, and writes the result as a new log."""
+"""Cuts and marks the log of a recording, and writes the result as a new log."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ EDITS: Final = "edits"
 
 @dataclass(frozen=True)
 class Edit:
-    """What to do with a take. Times are seconds since its first frame or command.
+    """How to cut and mark a recording. Times are seconds since its first frame or command.
 
     Attributes:
         keep: time ranges (from, to) to keep; empty for all.
@@ -54,7 +54,7 @@ class Edit:
                 raise ConfigError(f"the mark {text!r} at {time:g} s is in a part that is cut out")
 
     def holds(self, time: float) -> bool:
-        """True if the edit keeps what happened at a time [s]."""
+        """True if the edited log keeps what was recorded at a time [s]."""
         within = [begin <= time < end for begin, end in self.keep]
         return (any(within) or not within) and not any(a <= time < b for a, b in self.drop)
 
@@ -62,7 +62,7 @@ class Edit:
 def edit_logs(
     paths: Sequence[Path], outputs: Sequence[Path], edit: Edit
 ) -> list[Mapping[str, Any]]:
-    """Writes edited copies of logs that were recorded together, such as those of both hands.
+    """Writes edited copies of logs that were recorded together, such as those of two hands.
 
     The copies keep the timestamps, so a time range that is left out becomes a gap, as if the
     tracker had been lost. The history of the edits is in the ``meta`` of each copy's origin, under
@@ -181,7 +181,7 @@ def _copy(path: Path, output: Path, edit: Edit, start: int) -> Mapping[str, Any]
 
 
 def as_range(text: str) -> tuple[float, float]:
-    """Reads ``A:B`` [s]; without A from the start, without B to the end. ConfigError for another
+    """Parses ``A:B`` [s]; without A from the start, without B to the end. ConfigError for any other
     form."""
     begin, sign, end = text.partition(":")
     try:
@@ -194,7 +194,7 @@ def as_range(text: str) -> tuple[float, float]:
 
 
 def as_mark(text: str) -> tuple[float, str]:
-    """Reads ``T=TEXT``; ConfigError for another form."""
+    """Parses ``T=TEXT``; ConfigError for any other form."""
     time, sign, words = text.partition("=")
     try:
         mark = float(time), words.strip()

@@ -1,4 +1,4 @@
-"""Writer of the project's own log: an MCAP file that grows chunk by chunk.
+"""Writes this project's own log, an MCAP file that grows chunk by chunk.
 
 MCAP was chosen because it is append-only, supports many topics, opens in Foxglove, and can be read
 from the front without its index, so that a crash leaves a readable recording.
@@ -139,7 +139,7 @@ class LogWriter:
             self._end_chunk()  # so that a process that is killed now leaves an empty log
 
     def write_hand(self, frame: HandFrame, stamp: float | None = None) -> None:
-        """Append a hand frame.
+        """Appends a hand frame.
 
         Args:
             stamp: stamp in the log [s]; None for the stamp of the frame.
@@ -179,7 +179,7 @@ class LogWriter:
         wrist: WristCommand | None = None,
         arm: ArmCommand | None = None,
     ) -> None:
-        """Append a command and its timing.
+        """Appends a command and its timing.
 
         Args:
             latency_ms: time from landmarks to command [ms].
@@ -236,7 +236,7 @@ class LogWriter:
         self._names = names
 
     def write_state(self, state: HandState) -> None:
-        """Append a measured state of the robot hand.
+        """Appends a measured state of the robot hand.
 
         Raises:
             OutputError: as for the class.
@@ -249,7 +249,7 @@ class LogWriter:
         self._append(_nanoseconds(state.stamp), (STATE, message))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
-        """Append the resolved configuration; allowed once.
+        """Appends the resolved configuration; allowed once.
 
         It gets the time of the first frame, at which the time line of viewers begins.
 
@@ -265,7 +265,7 @@ class LogWriter:
                 self._add_config()
 
     def write_origin(self, origin: Mapping[str, str]) -> None:
-        """Append a metadata record that states where the log came from.
+        """Appends a metadata record that states where the log came from.
 
         Args:
             origin: texts by name; ``smooth-operator convert`` writes ``name``, ``task`` and
@@ -277,7 +277,7 @@ class LogWriter:
         self._metadata(ORIGIN, origin)
 
     def write_method(self, stamp: float, method: str, preset: str, config: Any) -> None:
-        """Append a metadata record for the method that drives the hand from now on.
+        """Appends a metadata record about the method that drives the hand from now on.
 
         Args:
             stamp: stamp of its first command [s].
@@ -297,7 +297,7 @@ class LogWriter:
         )
 
     def flush(self, *, sync: bool = False) -> None:
-        """Pass all messages so far to the operating system, as a separate chunk.
+        """Passes all messages so far to the operating system, as a separate chunk.
 
         Args:
             sync: also wait until they are on the disk and survive a power cut; takes milliseconds.
@@ -309,7 +309,7 @@ class LogWriter:
             self._end_chunk(sync=sync)
 
     def close(self) -> None:
-        """Write pending messages and the index, and close the file; a second call does nothing.
+        """Writes pending messages and the index, and closes the file; a second call does nothing.
 
         Raises:
             OutputError: as for the class.

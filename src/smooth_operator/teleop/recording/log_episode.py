@@ -29,7 +29,7 @@ _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger ch
 
 
 def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None = None) -> Episode:
-    """Reads a log.
+    """Reads a log as an episode.
 
     Raises:
         RecordingError: as ``read_log``; the log contains neither frames nor commands, its stamps do
@@ -68,7 +68,7 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
 
 
 def write_log_episode(path: Path, episode: Episode) -> None:
-    """Writes a log: frames in order, each followed by the commands up to the next frame.
+    """Writes an episode as a log: each frame, followed by the commands up to the next frame.
 
     Raises:
         OutputError: it can't be written.
@@ -157,7 +157,8 @@ def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[H
 
 
 def log_losses(episode: Episode) -> list[str]:
-    """Describes the values of an episode that a log can't store: infinities become NaN."""
+    """Describes the values of an episode that a log can't store, which are infinities; they become
+    NaN."""
     parts: list[tuple[str, np.ndarray | None]] = []
     if episode.recording is not None:
         recording = episode.recording
@@ -175,7 +176,7 @@ def log_losses(episode: Episode) -> list[str]:
 
 
 def is_own_log(path: Path) -> bool:
-    """True if a file is a log of this program; uses its index if that is complete."""
+    """True if a file is a log of this program. Uses the log's index if that is complete."""
     try:
         topics = log_topics(path)
         if topics:

@@ -1,4 +1,4 @@
-"""Reader for this project's own log, which may have been cut off."""
+"""Reads this project's own logs, even if they were cut off."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ _DAMAGE: Final = (
 
 
 class DamagedError(Exception):
-    """Raised where the following bytes of a log are missing or damaged."""
+    """The rest of a log is missing or damaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class MethodUse:
-    """A method that drove a hand, and the time at which it began.
+    """A method that drove a hand, and the time from which it did.
 
     Attributes:
         stamp: stamp of its first command [s].
@@ -128,7 +128,7 @@ class Log:
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
-    """Read a log that ``LogWriter`` wrote.
+    """Reads a log that ``LogWriter`` wrote.
 
     The file is read from the front, so every complete chunk of a file without its end (after a
     crash, on a full disk) is read. Landmarks are exact, or NaN if they were not finite.
@@ -190,7 +190,8 @@ def read_log_recording(
 
 
 def log_topics(path: Path) -> Mapping[str, int] | None:
-    """Reads a log's topics and the number of messages of each, from the summary at its end.
+    """Reads the topics of a log and their numbers of messages, from the summary at the end of the
+    file.
 
     Returns:
         None if the log was cut off or has no summary.

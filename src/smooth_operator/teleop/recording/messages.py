@@ -1,4 +1,4 @@
-"""Messages of a log as Protocol Buffers: this project's own, and Foxglove's for its 3D panel.
+"""Messages of a log as Protocol Buffers: this project's own, and those for Foxglove's 3D panel.
 
 The types are in ``proto/*.proto``, their descriptors in ``proto/messages.binpb``. Unknown numbers
 are NaN, unknown lists and texts are empty, and lists of points are flat. Foxglove's messages are
@@ -111,12 +111,12 @@ for _file in _FILES.file:
 
 @cache
 def message_class(name: str) -> Any:
-    """The class of a message; ``name`` is its full name."""
+    """Returns the class of a message, given its full name."""
     return GetMessageClass(_POOL.FindMessageTypeByName(name))
 
 
 def schema_data(name: str) -> bytes:
-    """Definition of a message and of those that it contains, as a ``FileDescriptorSet``."""
+    """Definition of a message and of the messages that it contains, as a ``FileDescriptorSet``."""
     by_name = {file.name: file for file in _FILES.file}
     needed = [by_name[message_class(name).DESCRIPTOR.file.name]]
     for file in needed:  # the list grows
@@ -177,7 +177,7 @@ class LoopTrack:
 
     @property
     def answers(self) -> Bool[np.ndarray, " T"]:
-        """(T,) True for a command that was computed from a frame."""
+        """(T,) True for commands that were computed from a frame."""
         return np.asarray(np.isfinite(self.received))
 
 
@@ -233,7 +233,7 @@ class FoxgloveMessages:
         self._scenes: dict[tuple[str, bytes], _Scene] = {}
 
     def hand(self, frame: HandFrame, at: int) -> None:
-        """Add a hand frame, if the rate allows.
+        """Adds a hand frame, if the rate allows.
 
         Args:
             at: time of the frame [ns].
@@ -256,12 +256,12 @@ class FoxgloveMessages:
         self._hands.append((at, frame.landmarks.copy(), frame.valid.tobytes()))
 
     def wrist(self, wrist: WristCommand, at: int) -> None:
-        """Add a wrist command; see ``hand``."""
+        """Adds a wrist command, if the rate allows."""
         if self._is_due(WRIST_TARGET, at):
             self._add_pose(WRIST_TARGET, at, wrist.pose, wrist.world)
 
     def command(self, names: tuple[str, ...], positions: Float[np.ndarray, " n"], at: int) -> None:
-        """Add a command; see ``hand``.
+        """Adds a command, if the rate allows.
 
         Args:
             positions: joint positions [rad].
@@ -283,7 +283,7 @@ class FoxgloveMessages:
             self._robot.append((at, positions.copy()))
 
     def take(self) -> list[Message]:
-        """Returns the messages since the last call, by topic, in order of time."""
+        """Returns the messages since the last call by topic, in order of time."""
         hands, self._hands = self._hands, []
         robot, self._robot = self._robot, []  # first, so that an error is raised once
         for valid, group in groupby(hands, lambda hand: hand[2]):
@@ -380,7 +380,7 @@ def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:
 
 
 def landmark_keypoints(hand: Hand) -> Keypoints:
-    """Returns a function from joint positions to landmarks; with MuJoCo it takes 10 us."""
+    """Returns a function from joint positions to landmarks, which takes 10 us with MuJoCo."""
     model, data = hand.model, mujoco.MjData(hand.model)
     points = {
         LANDMARKS.index(name): point

@@ -1,4 +1,5 @@
-"""Measures the quality of a take: holds, lost frames, jumps of the robot, and self-collision."""
+"""Measures the quality of a recording (take): holds, lost frames, robot jumps and
+self-collision."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ _POSES: Final = 500
 
 @dataclass(frozen=True)
 class TakeQuality:
-    """Metrics that help to decide whether to keep a take.
+    """Metrics that help to decide whether to keep a recording (take).
 
     Attributes:
         seconds: length of the take [s].
@@ -54,7 +55,7 @@ class TakeQuality:
 
 
 def take_quality(path: Path, hand: Hand) -> TakeQuality:
-    """Measures the quality of the recording of one hand.
+    """Measures the quality of a recording of one hand.
 
     Args:
         hand: the recorded robot hand.

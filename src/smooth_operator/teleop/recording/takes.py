@@ -1,4 +1,5 @@
-"""Takes: recordings that the operator starts, ends, keeps or discards while a loop runs."""
+"""Takes, which are recordings that the operator starts, ends, keeps or discards while a loop
+runs."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ _NAME: Final = re.compile(r"[\w.-]{1,80}")
 
 
 class Takes:
-    """Starts and ends recordings (takes). An ended take is complete in its numbered file and is
-    kept unless the operator discards it.
+    """Starts and ends recordings (takes). A take that has ended is complete in its numbered file,
+    and is kept unless the operator discards it.
 
     Args:
         sinks: sinks of the running loop.
@@ -65,7 +66,7 @@ class Takes:
 
     @property
     def actions(self) -> dict[str, Callable[[], None]]:
-        """Actions of the operator by their names in ``ACTIONS``."""
+        """Operator actions for takes, by their names in ``ACTIONS``."""
         return {"record": self.toggle, "keep": self._keep, "discard": self._discard}
 
     def toggle(self) -> None:
@@ -73,7 +74,7 @@ class Takes:
         threading.Thread(target=self._toggle, name="take", daemon=True).start()
 
     def keep(self, name: str = "") -> None:
-        """Keeps the last take and renames it if there is a name.
+        """Keeps the last take; if a name is given, renames it.
 
         Raises:
             ConfigError: there is no take, or the name is not valid for a file.

@@ -1,1 +1,1 @@
-"""The real-time loop: from the newest hand frame to a safe command, on one clock."""
+"""The real-time loop, which turns the newest hand frame into a safe command."""

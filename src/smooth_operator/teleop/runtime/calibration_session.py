@@ -1,4 +1,4 @@
-"""Live calibration session: shows prompts to the operator and records the frames of each."""
+"""Live calibration: shows prompts to the operator and records the frames for each prompt."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIGHT_S = 0.3
 
 @dataclass(frozen=True)
 class Moment:
-    """Prompt that is shown to the operator at one moment.
+    """What the operator is prompted to do at one moment.
 
     Attributes:
         prompt: the prompt.
@@ -38,7 +38,7 @@ class Moment:
 
 
 class CalibrationSession:
-    """Steps through the prompts as frames arrive; its clock stops while no hand is in sight.
+    """Steps through the prompts as frames arrive. Its clock stops while no hand is visible.
 
     Args:
         side: side of the hand.
@@ -55,14 +55,14 @@ class CalibrationSession:
         self._last: float | None = None
 
     def see(self, arrival: Arrival) -> None:
-        """Add a frame. Ignores frames of the other hand and frames that are not newer."""
+        """Adds a frame. Ignores frames of the other hand and frames that are not newer."""
         newest = self._frames[-1].received if self._frames else -np.inf
         if arrival.frame.side == self.side and arrival.received > newest:
             self._frames.append(arrival)
             self._held.append(self._holding)
 
     def at(self, now: float) -> Moment | None:
-        """Return the prompt to show.
+        """Returns the prompt to show at a time.
 
         Args:
             now: time by the clock of the arrivals, not earlier than at the last call [s].
@@ -92,7 +92,7 @@ class CalibrationSession:
         return Moment(prompt, number, phase if in_sight else "wait", self._spent / total, left)
 
     def recording(self) -> HandRecording:
-        """All frames, stamped with their times of arrival; RecordingError if no frame has
+        """All frames, stamped with the times at which they arrived; RecordingError if none has
         arrived."""
         if not self._frames:
             raise RecordingError(
@@ -113,7 +113,7 @@ class CalibrationSession:
         )
 
     def segments(self) -> list[Segment]:
-        """The span of the recording in which each prompt was held."""
+        """Ranges of the recording in which the operator held the prompted poses."""
         holds = []
         for number, prompt in enumerate(self.prompts):
             rows = [i for i, held in enumerate(self._held) if held == number]

@@ -1,4 +1,4 @@
-"""Limiters of commands (position, velocity, acceleration, rate), and the clutch of the wrist."""
+"""Limits commands (position, velocity, acceleration, rate); also the wrist clutch."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ depend on it."""
 
 
 class JointLimiter:
-    """Follows a target within the limits of the joints, and holds the last command.
+    """Moves towards a target within the limits of the joints, and holds the last command.
 
     The limits hold between the stamps of consecutive commands, however uneven these are. With
     positions ``q[k]`` at times ``t[k]``, steps ``dt[k] = t[k] - t[k-1]`` and velocities
@@ -79,7 +79,7 @@ class JointLimiter:
         self.put(np.clip(start, self._low, self._high))
 
     def put(self, positions: Float[np.ndarray, " m"]) -> None:
-        """Set the positions [rad], at rest, before the first command and after a pause."""
+        """Sets the positions [rad], at rest, before the first command and after a pause."""
         self.q: Float[np.ndarray, " m"] = np.clip(positions, self._start, self._end)
         self.velocity: Float[np.ndarray, " m"] = np.zeros_like(self.q)
         self._last_dt = math.inf
@@ -90,7 +90,7 @@ class JointLimiter:
         dt: float,
         max_velocity: float | None = None,
     ) -> Float[np.ndarray, " m"]:
-        """Compute the next command.
+        """Computes the next command.
 
         Args:
             target: (m,) target [rad]; a joint whose target is not finite stays where it is.
@@ -110,7 +110,7 @@ class JointLimiter:
         return self._go(np.sign(error) * speed, dt)
 
     def rest(self, dt: float) -> Float[np.ndarray, " m"]:
-        """Brake as hard as the limits allow, then stay at rest.
+        """Brakes as hard as the limits allow, then stays at rest.
 
         Args:
             dt: time since the last command [s].
@@ -121,7 +121,7 @@ class JointLimiter:
         return self._go(np.zeros_like(self.q), max(dt, SHORTEST_S))
 
     def bounds(self, dt: float) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Lowest and highest velocity that ``follow`` allows for each joint in a step [rad/s].
+        """Lowest and highest velocity of each joint that ``follow`` allows in a step [rad/s].
 
         Args:
             dt: time since the last command [s].
@@ -131,7 +131,7 @@ class JointLimiter:
         return np.clip(-down, slow, fast), np.clip(up, slow, fast)
 
     def follow(self, velocity: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
-        """Take a step at the velocity within the limits that is closest to the requested one.
+        """Takes a step at the allowed velocity that is closest to the requested one.
 
         Args:
             velocity: (m,) requested velocity [rad/s]; values that are not finite count as 0.
@@ -221,7 +221,7 @@ def stoppable_speed(
     acceleration: Float[np.ndarray, " m"],
     stopped_by_one: Float[np.ndarray, " m"] | float = 0.0,
 ) -> Float[np.ndarray, " m"]:
-    """Largest speed of a step after which the joint can still stop within a distance.
+    """Highest speed of a step from which the joint can still stop within a distance.
 
     The distance is ``v dt + (v^2 - w^2) / acceleration``: the step itself, and braking with half of
     the acceleration down to ``w``.
@@ -247,7 +247,7 @@ _AXIS_SHARE: Final = 1 / math.sqrt(3.0)
 
 
 class PoseLimiter:
-    """Follows a pose within limits, and holds the last command.
+    """Moves a pose towards a target within limits, and holds the last command.
 
     The limits hold between the stamps of consecutive poses, however uneven these are. The
     velocities ``v[k] = (p[k] - p[k-1]) / dt[k]`` and ``w[k]`` (the rotation vector between two
@@ -276,7 +276,7 @@ class PoseLimiter:
         return not (self.velocity.any() or self.turn.any())
 
     def put(self, pose: Float[np.ndarray, "7"]) -> None:
-        """Set the pose, at rest, before the first command."""
+        """Sets the pose, at rest, before the first command."""
         self.pose = np.asarray(pose, np.float64)
         self.velocity = self.turn = _STILL
         self._last_dt = math.inf
@@ -288,7 +288,7 @@ class PoseLimiter:
         moving: Float[np.ndarray, "6"] | None = None,
         share: float = 1.0,
     ) -> Float[np.ndarray, "7"]:
-        """Compute the next command.
+        """Computes the next command.
 
         Args:
             target: pose to reach at the end of the step.
@@ -311,7 +311,7 @@ class PoseLimiter:
         )
 
     def rest(self, dt: float) -> Float[np.ndarray, "7"]:
-        """Brake as hard as the limits allow, then stay at rest.
+        """Brakes as hard as the limits allow, then stays at rest.
 
         Args:
             dt: time since the last command [s].
@@ -440,7 +440,7 @@ EXTRA: Final = 1 + BORROWED + KEPT
 
 
 class RateLimiter:
-    """Scheduler that limits the command rate of one hand.
+    """Decides when commands of one hand may be sent, so that the rate is limited.
 
     Commands have turns that are one period apart. The command for a frame may be sent before its
     turn, and any command may be sent late, within bounds that don't accumulate: in any time t there
@@ -460,18 +460,17 @@ class RateLimiter:
         self._turn = -math.inf  # time of the next command at an even pace
 
     def begin(self, now: float) -> None:
-        """Start the schedule: a command may be sent now."""
+        """Starts the schedule: a command may be sent now."""
         self._turn = now + BORROWED * self.period
 
     @property
     def opens(self) -> float:
-        """Time before which no command may be sent, except an emergency stop [s]."""
+        """Earliest time at which a command other than an emergency stop may be sent [s]."""
         period = self.period
         return max(self._turn - BORROWED * period, self._last + SHORTEST * period)
 
     def answers(self, received: float, following: float | None) -> float:
-        """Time at which the command for a frame should be sent, if no newer frame arrives before
-        [s].
+        """Time at which to send the command for a frame, if no newer frame arrives before [s].
 
         The command for a frame that arrives after its turn has begun is sent at once. A frame that
         arrived before its turn by more than ``WAITS`` is replaced by the next frame, if that
@@ -495,7 +494,7 @@ class RateLimiter:
         return min(following + patience, latest) if following <= latest else opens
 
     def keeps(self, following: float | None) -> float:
-        """Time at which a command is due without a frame [s].
+        """Time at which a command is due if no frame arrives [s].
 
         Args:
             following: expected arrival of the next frame [s]; None if unknown. The command waits
@@ -508,7 +507,7 @@ class RateLimiter:
         return max(at, self.opens)
 
     def take(self, now: float) -> None:
-        """Register that a command was sent at a time [s]."""
+        """Registers that a command was sent at a time [s]."""
         period = self.period
         turn = max(self._turn, now - KEPT * period) + period
         # An emergency stop, which waits for no turn, delays what comes after it only so far.
@@ -549,7 +548,7 @@ class _Wrist:
 
 
 class Clutch:
-    """Clutch between the operator's wrist and the robot's: computes the wrist command of one hand.
+    """Wrist clutch: computes the robot's wrist command from the operator's wrist, for one hand.
 
     The clutch engages when the operator moves the robot, the wrist is valid and the robot's wrist
     is at rest. It then latches the poses of both wrists, so the command does not jump. While it is
@@ -586,7 +585,7 @@ class Clutch:
         return self._engaged
 
     def follow(self, on: bool) -> None:
-        """Let the operator's wrist move the robot's (True), or hold the robot's wrist (False)."""
+        """Lets the operator's wrist move the robot's (True), or holds the robot's wrist (False)."""
         self.released = not on
 
     def events(self) -> list[str]:
@@ -597,7 +596,7 @@ class Clutch:
     def step(
         self, mode: Mode, at: float, dt: float, arrival: Arrival | None
     ) -> WristCommand | None:
-        """Compute the next command.
+        """Computes the next command.
 
         Args:
             at: time of the command [s].

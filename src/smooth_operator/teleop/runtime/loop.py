@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class TeleopLoop:
-    """Drives robot hands from a source until stopped.
+    """Drives robot hands from a source until it is stopped.
 
     The loop processes a frame as soon as it arrives, so waiting adds no latency. When no frames
     arrive, commands are sent at the loop's rate; they hold the robot or move it slowly to its safe
@@ -87,7 +87,7 @@ class TeleopLoop:
         configuration: Mapping[str, Any] = {},
         started: Callable[[], None] = lambda: None,
     ) -> None:
-        """Open the sinks, start the source, and run the loop.
+        """Opens the sinks, starts the source, and runs the loop.
 
         Args:
             duration: length of the run [s]; None until ``Controls.quit`` or the source's end.
@@ -114,7 +114,7 @@ class TeleopLoop:
             self.sinks.close()
 
     def pace(self, rate: float) -> None:
-        """Change the command rate; takes effect before the next command.
+        """Changes the command rate, starting with the next command.
 
         Args:
             rate: commands per second and hand [Hz].
@@ -131,7 +131,7 @@ class TeleopLoop:
 
     @property
     def silent_s(self) -> float:
-        """Time since the last command, or since the loop's start before the first one [s]."""
+        """Time since the last command or, before the first one, since the loop's start [s]."""
         return self.mailbox.clock() - self._beat
 
     def _mode(self) -> str:
@@ -317,7 +317,7 @@ Change: TypeAlias = Callable[["HandPipeline"], None]
 
 
 class Stop:
-    """Change that brings a hand to an emergency stop.
+    """A change that stops a hand in an emergency.
 
     Attributes:
         taken: True once the loop has carried it out.
@@ -332,7 +332,7 @@ class Stop:
 
 
 class Controls:
-    """Switches of a loop; safe to use from any thread and from a signal handler.
+    """Controls of a loop; safe to use from any thread and from a signal handler.
 
     Each takes effect before the loop's next command, and wakes the loop.
 
@@ -351,19 +351,19 @@ class Controls:
         self._quit = threading.Event()
 
     def pause(self) -> None:
-        """Release the clutch: the robot holds."""
+        """Releases the clutch: the robot holds its position."""
         self.change(lambda hand: hand.supervisor.pause())
 
     def resume(self) -> None:
-        """Engage the clutch: the robot moves to the operator's current hand."""
+        """Engages the clutch: the robot moves to the pose of the operator's hand."""
         self.change(lambda hand: hand.supervisor.resume())
 
     def follow(self, on: bool) -> None:
-        """Engage or release the clutch of the wrist; the fingers continue to follow."""
+        """Engages or releases the wrist clutch; the fingers continue to follow."""
         self.change(lambda hand: hand.clutch.follow(on))
 
     def stop(self) -> None:
-        """Emergency stop: the robot brakes and stays stopped until a later ``release``."""
+        """Emergency stop: the robot brakes and stays stopped until ``release`` is called."""
         self._stops += 1
         stop = Stop()
         self._pending.appendleft(stop)  # before all pending changes
@@ -371,7 +371,7 @@ class Controls:
         self._mailbox.wake()
 
     def release(self) -> None:
-        """End an emergency stop, unless another one comes before the release takes effect."""
+        """Ends an emergency stop, unless another one comes before the release takes effect."""
         stops = self._stops
 
         def release(hand: HandPipeline) -> None:
@@ -381,12 +381,12 @@ class Controls:
         self.change(release)
 
     def change(self, change: Change) -> None:
-        """Apply a change to every hand, on the loop's thread; it must be quick."""
+        """Applies a change to every hand, on the loop's thread; it must be quick."""
         self._pending.append(change)
         self._mailbox.wake()
 
     def quit(self) -> None:
-        """End the loop."""
+        """Ends the loop."""
         self._quit.set()
         # A signal handler may run inside the mailbox, on the thread that holds its lock.
         threading.Thread(target=self._mailbox.wake, daemon=True).start()
@@ -402,7 +402,7 @@ class Controls:
         return bool(self._pending) or self.quitting
 
     def drain(self) -> list[Change]:
-        """Return the pending changes in order and clear them; only the loop may call this."""
+        """Returns the pending changes in order and clears them; only the loop may call this."""
         changes = []
         while self._pending:
             changes.append(self._pending.popleft())

@@ -1,4 +1,4 @@
-"""Estimates fingertips that a tracker has lost from the other landmarks of their fingers."""
+"""Estimates lost fingertips from the other landmarks of the same finger."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STRAIGHT: Final = 0.05
 
 
 class MissingTips:
-    """Fills in one or two missing fingertips, so that the other fingers continue to be tracked.
+    """Fills in one or two lost fingertips, so that the robot keeps following the other fingers.
 
     The last bone keeps its last measured length. Its bend starts at the last measured one and
     follows the joint before it (``COUPLING``).
@@ -41,7 +41,7 @@ class MissingTips:
         self._seen: dict[int, Float[np.ndarray, "21 3"]] = {}  # tip -> last frame that had it
 
     def fill(self, frame: HandFrame) -> tuple[HandFrame, tuple[str, ...]]:
-        """Fill in a frame's missing fingertips; also returns the fingers that were filled in.
+        """Fills in a frame's lost fingertips; also returns the fingers that were filled in.
 
         Leaves a frame unchanged that lacks another landmark, or more than ``MOST`` fingertips.
         """

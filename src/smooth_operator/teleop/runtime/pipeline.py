@@ -1,4 +1,4 @@
-"""Pipeline of one hand: turns the newest frame, or its absence, into the next command.
+"""Pipeline of one hand: turns the newest frame, or the lack of one, into the next command.
 
 The pipeline checks whether a frame is plausible (size of the hand, side, time in seconds). Its
 supervisor is a state machine that decides, from the frames and the time without frames, what the
@@ -50,7 +50,7 @@ _MIDDLE: Final = BASES[2]
 
 @np.errstate(all="ignore")  # numbers of any size may come
 def implausible(frame: HandFrame) -> str | None:
-    """Reason why a frame can't be a human hand, by its size and time; None if it can.
+    """Reason why a frame can't show a human hand, judging by its size and time; None if it can.
 
     Ignores missing landmarks, since not every method needs them. The reasons are few and contain no
     numbers, so that frames can be counted by reason.
@@ -69,7 +69,7 @@ def implausible(frame: HandFrame) -> str | None:
 
 
 class SessionCheck:
-    """Checks that a tracker's frames have the right side and order of landmarks (``HandCheck``).
+    """Checks the side and the landmark order of a tracker's frames (``HandCheck``).
 
     The check starts again each time the tracker is restarted.
 
@@ -83,7 +83,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """Reason to distrust the frames up to and including this one, or None."""
+        """Reason to distrust the frames so far, including this one; None if there is none."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
@@ -93,7 +93,8 @@ class SessionCheck:
 
 @dataclass
 class Supervisor:
-    """State machine for the mode of one hand, from its usable frames and the operator's switches.
+    """State machine for the mode of one hand, driven by its usable frames and the operator's
+    switches.
 
     Attributes:
         config: the policies.
@@ -129,17 +130,17 @@ class Supervisor:
         return None
 
     def refuse(self, why: str) -> str:
-        """Count a refused frame by its reason, and return the reason."""
+        """Counts a refused frame under its reason, and returns the reason."""
         self.refused[why] = self.refused.get(why, 0) + 1
         return why
 
     @property
     def starts_again(self) -> bool:
-        """True if the operator takes over again, so the state of the method must be reset."""
+        """True if the operator takes over again, so that the method's state must be reset."""
         return not self.mode.moves and self.mode is not Mode.HOLDING
 
     def usable(self, now: float) -> None:
-        """Register a frame that gave a command; after a gap in the frames, begin a blend."""
+        """Registers a frame that led to a command. After a gap in the frames, begins a blend."""
         if not self.mode.moves:
             gap = self.config.blend_s
             if self.mode is Mode.HOLDING and self._last_good is not None and not self._held:
@@ -148,44 +149,45 @@ class Supervisor:
         self._last_good, self._held = now, False
 
     def hold(self) -> None:
-        """Hold the robot while the method is compiled, until a frame arrives after that."""
+        """Holds the robot while a method is compiled, until a frame arrives after that."""
         self.compiling = self._held = True
 
     def restart_blend(self, now: float | None) -> None:
-        """Begin to blend smoothly into new commands."""
+        """Begins to blend smoothly into new commands."""
         if now is not None and self.mode.moves:
             self._blend_start, self._blend_length = now, self.config.blend_s
 
     def update(self, now: float) -> Mode:
-        """Update the mode to a time, and return it."""
+        """Updates the mode to a time, and returns it."""
         self.mode = self._mode(now)
         return self.mode
 
     def preview(self, now: float) -> Mode:
-        """Return the mode at a time without changing any state."""
+        """Returns the mode at a time without changing any state."""
         return replace(self)._mode(now)
 
     def blend(self, now: float) -> float:
-        """Weight of the operator's motion in the command, 0 to 1, with a smooth start and end."""
+        """Weight of the operator's motion in the command, 0 to 1, which starts and ends
+        smoothly."""
         if self._blend_length <= 0:
             return 1.0
         x = min(max((now - self._blend_start) / self._blend_length, 0.0), 1.0)
         return x * x * (3 - 2 * x)
 
     def pause(self) -> None:
-        """Release the clutch."""
+        """Releases the clutch."""
         self._paused = True
 
     def resume(self) -> None:
-        """Engage the clutch: the robot moves to the operator's current hand."""
+        """Engages the clutch: the robot moves to the pose of the operator's hand."""
         self._paused = False
 
     def stop(self) -> None:
-        """Start an emergency stop, which lasts until ``release``."""
+        """Starts an emergency stop, which lasts until ``release`` is called."""
         self._stopped = True
 
     def release(self) -> None:
-        """End an emergency stop; the operator takes over as after a pause."""
+        """Ends an emergency stop; the operator takes over as after a pause."""
         self._stopped = False
 
     @property
@@ -200,7 +202,7 @@ class Supervisor:
 
     @property
     def listens(self) -> bool:
-        """True if frames move the robot."""
+        """True if new frames move the robot."""
         return not (self._paused or self._stopped or self.compiling)
 
     def _mode(self, now: float) -> Mode:
@@ -236,7 +238,7 @@ NOT_FINITE: Final = "the command was not finite; the last one is repeated"
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Result that a method computed for a frame.
+    """What a method computed for a frame.
 
     Attributes:
         arrival: the frame.
@@ -253,7 +255,8 @@ class Answer:
 
 @dataclass(frozen=True)
 class Driven:
-    """A retargeter and its state, replaced together so that other threads never see a mixture.
+    """A retargeter and its state, which are replaced together so that other threads never see a
+    mixture.
 
     Attributes:
         retargeter: method and hand.
@@ -328,16 +331,16 @@ class HandPipeline:
 
     @property
     def retargeter(self) -> Retargeter:
-        """Method and hand. Safe from any thread."""
+        """The retargeter, with its method and hand. Safe from any thread."""
         return self._driven.retargeter
 
     @property
     def mode_now(self) -> Mode:
-        """Mode of the next tick, if no frame comes."""
+        """Mode of the next tick if no frame arrives."""
         return self.supervisor.preview(self._clock())
 
     def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
-        """Switch to another method, or other settings, which must be compiled.
+        """Switches to another method or to other settings, which must be compiled already.
 
         The robot moves on from its last command within the limits.
         """
@@ -348,23 +351,24 @@ class HandPipeline:
         self.go_on()
 
     def hold(self) -> None:
-        """Hold the robot while a method is compiled; frames are shown but give no commands."""
+        """Holds the robot while a method is compiled; frames are shown but do not move the
+        robot."""
         if not self.supervisor.compiling:
             self.supervisor.hold()
             self.note(COMPILING)
 
     def go_on(self) -> None:
-        """End a hold; the robot moves to the operator's hand."""
+        """Ends a hold; the robot moves to the pose of the operator's hand."""
         if self.supervisor.compiling:
             self.supervisor.compiling = False
             self.note(COMPILED)
 
     def note(self, text: str) -> None:
-        """Add an event to the next tick, so that it is recorded."""
+        """Adds an event to the next tick, so that it is recorded."""
         self._next_events.append(text)
 
     def pace(self, rate: float) -> None:
-        """Change the rate [Hz]."""
+        """Changes the command rate [Hz]."""
         self.config = replace(self.config, rate=rate)
 
     @property
@@ -382,7 +386,8 @@ class HandPipeline:
 
     @property
     def pinch_gaps(self) -> dict[str, float]:
-        """Finger -> gap that the tracker reports while the finger touches the thumb [palm lengths].
+        """Maps each finger to the gap that the tracker reports while it touches the thumb [palm
+        lengths].
 
         Safe from any thread.
         """
@@ -399,7 +404,7 @@ class HandPipeline:
         return driven.retargeter.fingertip_targets(driven.state)
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
-        """Compute the next command: calls ``admit``, ``solve`` and ``command`` in turn.
+        """Computes the next command: calls ``admit``, ``solve`` and ``command`` in turn.
 
         Args:
             now: time of the step, by the clock of the arrivals [s].
@@ -409,7 +414,8 @@ class HandPipeline:
         return self.command(now, None if arrival is None else self.solve(arrival))
 
     def admit(self, now: float, arrival: Arrival) -> Arrival | None:
-        """Return the frame if the method must solve it; None if it is refused or moves no robot."""
+        """Returns the frame if the method must solve it; None if it is refused or does not move the
+        robot."""
         self.supervisor.update(now)  # for switches since the last step
         why = implausible(arrival.frame)
         if why is None:
@@ -433,7 +439,7 @@ class HandPipeline:
         return arrival if self.supervisor.listens else None
 
     def solve(self, arrival: Arrival) -> Answer:
-        """Run the method on the frame from the last ``admit``.
+        """Runs the method on the frame from the last ``admit``.
 
         This may take long and changes nothing, so another thread may call ``command`` meanwhile.
         """
@@ -451,7 +457,8 @@ class HandPipeline:
         return Answer(arrival, state, result, stages)
 
     def command(self, now: float, answer: Answer | None = None) -> Tick:
-        """Compute the next command from the method's result for a frame, or without a new frame."""
+        """Computes the next command, from the method's result for a frame or without a new
+        frame."""
         result, arrival = (None, None) if answer is None else (answer.result, answer.arrival)
         stages = {} if answer is None else dict(answer.stages)
         if answer is not None:
@@ -555,7 +562,7 @@ class HandPipeline:
 
 
 def advice(doubt: Doubt) -> str:
-    """Short description of a problem with the frames' landmarks and its remedy."""
+    """Describes a problem with the landmarks in the frames, and its remedy, in a few words."""
     if doubt.side is not None:
         return (
             f"judging by its shape, it is a {doubt.side} hand; use side={doubt.side}, or "

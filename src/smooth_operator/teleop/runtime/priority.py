@@ -1,4 +1,4 @@
-"""Real-time priority of the loop, if the system allows it.
+"""Gives the loop real-time priority, if the system allows it.
 
 On a busy machine, for example with a browser that draws without a graphics card, a fair scheduler
 makes a thread wait some milliseconds after it wakes, which is the loop's whole budget. Linux offers
@@ -32,7 +32,7 @@ _SWITCH_S: Final = 5e-4
 
 @contextlib.contextmanager
 def low_jitter() -> Iterator[None]:
-    """Reduces delays of the loop by other threads of this process and by garbage collection.
+    """Reduces delays that other threads of this process and garbage collection cause in the loop.
 
     Existing objects are excluded from garbage collection inside the block: a compiled model has
     very many objects, which each collection would visit.
@@ -52,7 +52,7 @@ def low_jitter() -> Iterator[None]:
 
 @contextlib.contextmanager
 def going_first() -> Iterator[Priority]:
-    """Gives the threads of this process real-time priority; use it on the loop's thread.
+    """Gives the threads of this process real-time priority. Use it on the loop's thread.
 
     Threads and processes that start later, such as for compiling or drawing, do not get it. The
     kernel reserves a twentieth of each core for other processes.

@@ -1,4 +1,4 @@
-"""Client of ``teleop --control``: commands a running teleoperation.
+"""Client of ``teleop --control``, which commands a running teleoperation.
 
     teleop = RemoteTeleop("tcp://127.0.0.1:5558")
     teleop.request("method", method="dexpilot", preset="published")
@@ -59,7 +59,7 @@ class RemoteTeleop:
         self._zmq: Any = zmq
 
     def request(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Send a command and wait for its answer.
+        """Sends a command and waits for the reply.
 
         Args:
             do: the command: ``status``, ``stop``, ``method``, ``task``, ...

@@ -14,7 +14,7 @@ from smooth_operator.settings import LARGEST, check_numbers, check_range
 
 @dataclass(frozen=True)
 class SafetyConfig:
-    """Behaviour when the tracker fails, and when the operator comes back.
+    """What happens when the tracker fails, and when the operator comes back.
 
     Attributes:
         stale_s: Age of the last usable frame after which the hand holds its pose [s].
@@ -51,7 +51,7 @@ class SafetyConfig:
 
 @dataclass(frozen=True)
 class LimitsConfig:
-    """Limits on velocity, acceleration and range of the commands of every method.
+    """Velocity, acceleration and range limits on the commands of every method.
 
     Attributes:
         velocity: Largest velocity of any joint, coupled ones included [rad/s].
@@ -73,8 +73,8 @@ class LimitsConfig:
 
 @dataclass(frozen=True)
 class WristConfig:
-    """Settings of the clutch between the operator's wrist and the robot's wrist, and limits of its
-    motion.
+    """Settings of the clutch between the operator's wrist and the robot's wrist, and limits on the
+    robot wrist's motion.
 
     Poses are in the frame of the robot's base: x forward, y left, z up.
 

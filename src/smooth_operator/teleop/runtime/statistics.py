@@ -1,4 +1,4 @@
-"""Statistics of a run: percentiles of every stage, counts, share of each mode, motion delay."""
+"""Statistics of a run: percentiles of every stage, counts, time in each mode, motion delay."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class _Track:
 
 
 class MotionDelay:
-    """Delay between commanded and measured motion of one hand over the last seconds.
+    """Measures the delay between the commanded and the measured motion of one hand.
 
     The commanded and measured velocities of all joints that move are correlated at delays from 0 to
     half a second; the delay is where the correlation is largest, refined by a parabola. The loop
@@ -80,7 +80,7 @@ class MotionDelay:
         self._newest: tuple[float, float | None] = (-np.inf, None)
 
     def add(self, tick: Tick) -> None:
-        """Store a command and a measured state; takes microseconds."""
+        """Stores a command and a measured state; takes microseconds."""
         if tick.state is None:
             return
         if self._commands is None or self._states is None:
@@ -92,7 +92,7 @@ class MotionDelay:
             self._states.add(tick.state.stamp, tick.state.positions)
 
     def now(self) -> float | None:
-        """The delay over the last ten seconds [s], computed at most once a second.
+        """Delay over the last ten seconds [s], computed at most once a second.
 
         Returns:
             None without a measured state, without motion, or if the measured motion does not
@@ -153,7 +153,7 @@ _STATE_WINDOW_S = 10.0
 
 
 class TrackerDelay:
-    """Delay of each frame relative to the fastest frame of the last seconds.
+    """Measures the delay of each frame relative to the fastest frame of the last seconds.
 
     Two clocks that are not synchronised show only the variation of the delay: the difference of
     arrival and stamp is the delay plus a constant, and its smallest recent value stands for the
@@ -166,7 +166,7 @@ class TrackerDelay:
         self._lowest: deque[tuple[float, float]] = deque()  # (received, difference), both rising
 
     def see(self, arrival: Arrival) -> None:
-        """Add a frame."""
+        """Adds a frame."""
         if arrival.session != self._session:
             self._session = arrival.session
             self._lowest.clear()
@@ -193,25 +193,25 @@ _CAPACITY: Final = 200_000
 
 
 class RecentTimes:
-    """Ring buffer of the newest times [ms]."""
+    """Ring buffer of the newest durations [ms]."""
 
     def __init__(self) -> None:
         self._ring = np.full(_CAPACITY, np.nan, np.float32)
         self._count = 0
 
     def append(self, ms: float) -> None:
-        """Add a time [ms]."""
+        """Adds a duration [ms]."""
         self._ring[self._count % _CAPACITY] = ms
         self._count += 1
 
     def newest(self, count: int = _CAPACITY) -> Float32[np.ndarray, " n"]:
-        """Copy of the newest times, unordered."""
+        """Returns a copy of the newest durations, in no particular order."""
         there = min(self._count, count, _CAPACITY)
         return self._ring[np.arange(self._count - there, self._count) % _CAPACITY]
 
 
 class LoopStatistics:
-    """Counts and times of a loop. The loop writes them; any thread may read them.
+    """Counts and durations of a loop. The loop writes them; any thread may read them.
 
     Args:
         period: period of the loop [s].
@@ -235,7 +235,7 @@ class LoopStatistics:
         self.motion: dict[Side, MotionDelay] = {}
 
     def add(self, tick: Tick, due: float, sent: float) -> None:
-        """Add a command.
+        """Adds a command.
 
         Args:
             tick: the command, with the stage ``send``.
@@ -261,7 +261,8 @@ class LoopStatistics:
                 self._stages[name].append(ms)
 
     def recent(self, count: int = 500) -> dict[str, dict[str, float]]:
-        """Percentiles of the last frames' times [ms]: ``total`` (received to sent), each stage."""
+        """Percentiles over the last frames [ms]: each stage, and ``total`` (from receiving to
+        sending)."""
         return {
             name: percentiles(times.newest(count))
             for name, times in {"total": self._added, **self._stages}.items()
@@ -269,7 +270,7 @@ class LoopStatistics:
 
     @property
     def missed_share(self) -> float:
-        """Share of commands that were sent more than a period after they were due."""
+        """Share of commands that were sent more than one period late."""
         return self._missed / max(self._due, 1)
 
     @property
@@ -285,7 +286,7 @@ class LoopStatistics:
         return count / hands / length if hands and length > 0 else 0.0
 
     def summary(self) -> dict[str, Any]:
-        """Statistics of the whole run, JSON-serialisable; times in ms."""
+        """Statistics of the whole run, ready for JSON; times are in ms."""
         total = sum(self._modes.values())
         return {
             "commands": dict(self._commands),
@@ -323,7 +324,7 @@ ADDED: Final = ("receive", "solve", "limit", "send")
 
 
 def added_latency(log: Log) -> Float[np.ndarray, " F"]:
-    """Time from frame to command, for each command that was computed from a frame [ms]."""
+    """Time from frame to command [ms], for each command that was computed from a frame."""
     if "solve" not in log.stages_ms:
         return np.empty(0)
     total = np.nansum([log.stages_ms[name] for name in ADDED if name in log.stages_ms], axis=0)
@@ -331,8 +332,8 @@ def added_latency(log: Log) -> Float[np.ndarray, " F"]:
 
 
 def log_timing(log: Log) -> dict[str, Any]:
-    """Statistics of a log's stages, rate, modes and events, JSON-serialisable; times in ms.
-    RecordingError if the log holds no commands."""
+    """Statistics of a log's stages, rate, modes and events, ready for JSON; times are in ms.
+    RecordingError if the log contains no commands."""
     if log.commands is None:
         raise RecordingError("the log contains no commands, so there are no times to measure")
     figures: dict[str, Any] = {

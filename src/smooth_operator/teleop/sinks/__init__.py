@@ -1,1 +1,1 @@
-"""Sinks of joint commands: one module for each kind."""
+"""Sinks, which receive joint commands: one module for each kind."""

@@ -1,4 +1,4 @@
-"""Feedback of contact to the operator's fingers: messages for gloves, pulses of controllers.
+"""Haptic feedback of contacts to the operator: messages for gloves, pulses of controllers.
 
 An output of feedback is a sink that observes: each tick has the newest measured contact of the
 robot hand, and the message leaves on the output's own thread, so that no command waits for it.
@@ -44,7 +44,7 @@ Output: TypeAlias = tuple[Callable[[dict[str, Any]], object], Callable[[], None]
 
 
 class FeedbackCounts:
-    """Counts and delays of the messages. The sender's thread writes them; any thread may read.
+    """Counts and delays of feedback messages. The sender's thread writes them; any thread may read.
 
     Attributes:
         not_finite: number of levels that were not finite, and sent as 0.
@@ -59,16 +59,16 @@ class FeedbackCounts:
         self._delays = RecentTimes()
 
     def sent(self, side: Side, now: float) -> None:
-        """Count a message."""
+        """Counts a message."""
         self._first, self._last = self._first or now, now
         self._messages[side] = self._messages.get(side, 0) + 1
 
     def delayed(self, seconds: float) -> None:
-        """Add the time from the measurement of a contact to its message [s]."""
+        """Adds the time from the measurement of a contact to its message [s]."""
         self._delays.append(1e3 * seconds)
 
     def summary(self) -> dict[str, Any]:
-        """Figures of ``Sink.figures``; ``rate_hz`` is that of each hand."""
+        """Numbers for ``Sink.figures``; ``rate_hz`` is the rate of each hand."""
         count, length = sum(self._messages.values()), self._last - self._first
         return {
             "messages": count,
@@ -80,7 +80,7 @@ class FeedbackCounts:
 
 @dataclass(frozen=True)
 class Feedback(ThreadedSink):
-    """Base class of the outputs of feedback: sends the contact of each finger, within limits.
+    """Base class of feedback outputs, which send the contact of each finger, within limits.
 
     Nothing is felt (levels of 0) unless the operator moves the robot: in an emergency stop, a
     pause, a loss of the tracker or of the robot hand, and after the run.
@@ -106,20 +106,20 @@ class Feedback(ThreadedSink):
         check_range("feedback: rate", self.rate, 1.0, 1000.0, "Hz")
 
     def use_source(self, source: LiveSource) -> None:
-        """Set the source of the run before it starts; by default does nothing."""
+        """Receives the source of the run before it starts; by default does nothing."""
         del source
 
     @abstractmethod
     def output(self) -> Output:
-        """Open the connection; errors as ``ThreadedSink.connect``."""
+        """Opens the connection; raises the same errors as ``ThreadedSink.connect``."""
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Open the connection and close it again; see ``Sink``."""
+        """Opens the connection and closes it again; see ``Sink``."""
         _, close = self.output()
         close()
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
-        """Open the connection; see ``ThreadedSink``."""
+        """Opens the connection; see ``ThreadedSink``."""
         return _FeedbackLink(self, hands, self.output())
 
     @property
@@ -219,7 +219,7 @@ class _FeedbackLink:
 
 @dataclass(frozen=True)
 class ZmqFeedback(Feedback):
-    """Publishes the contact of the fingers on a ZeroMQ socket (PUB), as JSON.
+    """Publishes the contact of the fingers as JSON on a ZeroMQ socket (PUB).
 
     Attributes:
         address: address for subscribers; the default can be reached from this machine only.
@@ -233,11 +233,11 @@ class ZmqFeedback(Feedback):
 
     @property
     def label(self) -> str:
-        """``feedback zmq`` and the address."""
+        """The words ``feedback zmq`` and the address."""
         return f"feedback zmq {self.address}"
 
     def output(self) -> Output:
-        """Open the socket."""
+        """Opens the socket."""
         context, publisher = open_publisher(self.address, "feedback")
 
         def close() -> None:
@@ -249,7 +249,7 @@ class ZmqFeedback(Feedback):
 
 @dataclass(frozen=True)
 class UdpFeedback(Feedback):
-    """Sends the contact of the fingers as UDP datagrams, as JSON.
+    """Sends the contact of the fingers as JSON in UDP datagrams.
 
     Attributes:
         receiver: host and port of the receiver, ``HOST:PORT``.
@@ -267,11 +267,11 @@ class UdpFeedback(Feedback):
 
     @property
     def label(self) -> str:
-        """``feedback udp`` and the receiver."""
+        """The words ``feedback udp`` and the receiver's address."""
         return f"feedback udp {self.receiver}"
 
     def output(self) -> Output:
-        """Look the receiver up, and open a socket."""
+        """Looks up the receiver's address, and opens a socket."""
         host, _, port = self.receiver.rpartition(":")
         try:
             family, kind, _, _, address = socket.getaddrinfo(
@@ -285,7 +285,8 @@ class UdpFeedback(Feedback):
 
 @dataclass(frozen=True)
 class WebXrFeedback(Feedback):
-    """Lets the controllers of a headset vibrate, as strongly as the finger with most contact.
+    """Makes the controllers of a headset vibrate, as strongly as the finger with the strongest
+    contact.
 
     The run's source, or its source of the wrist, must be ``webxr``.
     """
@@ -295,11 +296,11 @@ class WebXrFeedback(Feedback):
 
     @property
     def label(self) -> str:
-        """``feedback webxr``."""
+        """The words ``feedback webxr``."""
         return "feedback webxr"
 
     def use_source(self, source: LiveSource) -> None:
-        """Take the headset among the sources; see ``Feedback``."""
+        """Finds the headset among the sources; see ``Feedback``."""
         headset = part_of(source, WebXr)
         if headset is None:
             raise ConfigError(
@@ -309,7 +310,7 @@ class WebXrFeedback(Feedback):
         self._set(_headset=headset)
 
     def output(self) -> Output:
-        """Send pulses through the source, which has its own connection."""
+        """Prepares to send pulses through the source, which has its own connection."""
         felt: set[Side] = set()
         headset = self._headset
         assert headset is not None  # set before the run

@@ -1,4 +1,4 @@
-"""Recorder of a session: writes every tick to MCAP logs, one for each hand."""
+"""Records a session: writes every tick to MCAP logs, one for each hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ from smooth_operator.types import JointCommand, Side, Status
 
 @dataclass(frozen=True)
 class RecordSink(Sink):
-    """An MCAP log of a session: frames, commands, modes, events, timing of every tick.
+    """Sink that records a session as MCAP logs: frames, commands, modes, events, timing of every
+    tick.
 
     There is one file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap``
     for two. The file is complete up to the last flush, even after a crash. Its stamps are from the
@@ -67,7 +68,7 @@ class RecordSink(Sink):
 
     @property
     def label(self) -> str:
-        """``record`` and the file or folder, for display."""
+        """The word ``record`` and the file or folder, for display."""
         return f"record {self.path}"
 
     @property
@@ -77,7 +78,7 @@ class RecordSink(Sink):
 
     @property
     def note(self) -> str:
-        """A note on ticks that are missing from the files."""
+        """Warning about ticks that are missing from the files."""
         lost = self._lost + (0 if self._recorder is None else self._recorder.dropped)
         if not lost:
             return ""
@@ -85,14 +86,14 @@ class RecordSink(Sink):
         return f"{ticks} not recorded: the disk was too slow or failed"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Refuse an existing file, or a folder that can't be created; see ``Sink``."""
+        """Refuses an existing file, or a folder that can't be created; see ``Sink``."""
         for file in take_paths(self.path, list(hands), overwrite=self.overwrite).values():
             if not os.access(file.parent, os.W_OK):
                 why = errno.EACCES if file.parent.is_dir() else errno.ENOENT
                 raise output_error(file, OSError(why, os.strerror(why)))
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Create the files; see ``Sink``."""
+        """Creates the files; see ``Sink``."""
         if self._recorder is not None:
             raise SinkError(f"{self.label}: it is already open")
         sides = list(hands)
@@ -111,19 +112,19 @@ class RecordSink(Sink):
         self._set(_recorder=recorder, _history=(*self._history, *files.values()))
 
     def send(self, tick: Tick) -> None:
-        """Put a tick into the buffer. OutputError if the disk is full or gone; raised once."""
+        """Puts a tick into the buffer. OutputError if the disk is full or gone; raised once."""
         if self._recorder is None:
             raise SinkError(f"{self.label}: it is not open")
         self._recorder.put(tick)
 
     def stalled(self, seconds: float) -> None:
-        """Record the time without commands, as an event of the next tick."""
+        """Records a time without commands, as an event of the next tick."""
         if self._recorder is not None:
             self._recorder.silence(seconds)
 
     def close(self) -> None:
-        """Write pending ticks, and finish the files. OutputError if the files could not be
-        finished; flushed parts stay readable."""
+        """Writes pending ticks, and finishes the files. OutputError if the files could not be
+        finished; parts that were flushed stay readable."""
         recorder = self._recorder
         if recorder is None:
             return
@@ -151,8 +152,8 @@ _END_S: Final = 20.0
 
 @dataclass(frozen=True)
 class TakeSink(RecordSink):
-    """Recorder of a take; stores the configuration at the take's start, which may differ from that
-    of the run's start."""
+    """Records a take. Stores the configuration at the take's start, which may differ from that at
+    the run's start."""
 
     configuration: Callable[[], Mapping[str, Any]] = dict
 
@@ -220,7 +221,7 @@ class Recorder:
         self._thread.start()
 
     def put(self, tick: Tick) -> None:
-        """Put a tick into the buffer. OutputError if the disk failed; raised once, then ticks are
+        """Puts a tick into the buffer. OutputError if the disk failed; raised once, then ticks are
         only counted."""
         with self._change:
             error, self._error = self._error, None
@@ -244,12 +245,12 @@ class Recorder:
                 self._change.notify_all()
 
     def silence(self, seconds: float) -> None:
-        """Note a time without commands [s], to be recorded."""
+        """Notes a time without commands [s], to be recorded."""
         with self._change:
             self._stalled = seconds
 
     def close(self) -> None:
-        """Write waiting ticks, and finish the files.
+        """Writes waiting ticks, and finishes the files.
 
         Raises:
             OutputError: the disk failed.
@@ -377,8 +378,8 @@ SUFFIX = ".mcap"
 
 
 def is_folder(path: Path) -> bool:
-    """True if a path names a folder of takes: it is a folder, or has no suffix; ConfigError if its
-    suffix is not that of a log."""
+    """True if a path stands for a folder of takes: it is a folder, or has no suffix. ConfigError if
+    its suffix is not that of a log."""
     if path.is_dir() or not path.suffix:
         return True
     if path.suffix.lower() != SUFFIX:
@@ -389,7 +390,7 @@ def is_folder(path: Path) -> bool:
 
 
 def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Side, Path]:
-    """Files of a new recording; creates the folder if necessary.
+    """Paths of the files of a new recording; creates the folder if necessary.
 
     Args:
         path: see ``is_folder``. In a folder, recordings are named ``take-001.mcap`` and so on.
@@ -417,7 +418,8 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
 
 
 def next_part(path: Path, sides: Sequence[Side]) -> dict[Side, Path]:
-    """Files that continue an interrupted recording: the next take, or ``NAME.part2.mcap``."""
+    """Paths of the files that continue an interrupted recording: the next take, or
+    ``NAME.part2.mcap``."""
     if is_folder(path):
         return take_paths(path, sides, overwrite=False)
     return _first_free(path.with_name(f"{path.stem}.part{{}}{path.suffix}"), sides, 2)

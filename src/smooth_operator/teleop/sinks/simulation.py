@@ -1,4 +1,4 @@
-"""A simulated robot hand that follows the commands: MuJoCo physics in real time."""
+"""Simulates robot hands that follow the commands: MuJoCo physics in real time."""
 
 from __future__ import annotations
 
@@ -70,17 +70,17 @@ class Simulation(Sink):
 
     @property
     def label(self) -> str:
-        """``mujoco``."""
+        """The word ``mujoco``."""
         return "mujoco"
 
     @property
     def note(self) -> str:
-        """Faults of the physics; empty if there are none."""
+        """Warning about errors of the physics; empty if there are none."""
         return "; ".join(self._events)
 
     @property
     def simulation(self) -> Simulation:
-        """The sink itself."""
+        """This sink itself, which is the simulation."""
         return self
 
     @property
@@ -90,18 +90,19 @@ class Simulation(Sink):
 
     @property
     def world_number(self) -> int:
-        """Number of the scene, different for every scene; 0 without a scene."""
+        """Number of the current scene, which no other scene has; 0 without a scene."""
         return 0 if self._world is None else self._world.number
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Build the models and start; see ``Sink``."""
+        """Builds the models and starts the simulation; see ``Sink``."""
         if self._world is not None:
             raise SinkError("mujoco: it is already open")
         physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
         self._set(_world=World(physics, self._events, self._arms, self.full_force))
 
     def change_task(self, task: str) -> None:
-        """Build the scene of another task, or the hand alone, and switch to it. Commands continue.
+        """Builds the scene of another task, or the hand alone, and switches to it. Commands
+        continue.
 
         A watcher of the previous scene gets no more states.
 
@@ -128,14 +129,14 @@ class Simulation(Sink):
         before.end()
 
     def send(self, tick: Tick) -> None:
-        """Set the targets of the servos; SinkError if the simulation has ended."""
+        """Sets the targets of the servos; SinkError if the simulation has ended."""
         if self._world is None:
             raise SinkError("mujoco: it is not open")
         arm = None if tick.arm is None else tick.arm.positions
         self._world.command(tick.side, tick.command.joint_positions, arm)
 
     def stalled(self, seconds: float) -> None:
-        """Let the hands hold their positions."""
+        """Makes the hands hold their positions."""
         if self._world is not None:
             self._world.hold()
 
@@ -149,7 +150,7 @@ class Simulation(Sink):
         return None if world is None else world.states.get(side)
 
     def snapshot(self, side: Side) -> tuple[HandPhysics, Float[np.ndarray, " q"]] | None:
-        """A hand's physics and its newest (q,) joint positions; None if there is no such hand.
+        """Physics of a hand, and its newest (q,) joint positions; None if there is no such hand.
 
         Safe from any thread; the state inside the physics belongs to the simulation's thread."""
         world = self._world
@@ -158,7 +159,7 @@ class Simulation(Sink):
         return world.physics[side], world.qpos[side]
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
-        """Set the arms that carry the hands; see ``Sink``."""
+        """Sets the arms that carry the hands; see ``Sink``."""
         self._arms.update(arms)
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
@@ -167,7 +168,7 @@ class Simulation(Sink):
         return None if world is None else world.arms.get(side)
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Pose of the wrist of a hand in the base frame of its arm; see ``Sink``."""
+        """Pose of a hand's wrist in the base frame of its arm; see ``Sink``."""
         world = self._world
         if world is None or (arm := world.arms.get(side)) is None:
             return None
@@ -186,15 +187,15 @@ class Simulation(Sink):
         return self._scene(side).scene
 
     def hand_of(self, side: Side) -> Hand:
-        """The robot hand in a scene; raises the errors of ``scene_of``."""
+        """The robot hand in a scene; raises the same errors as ``scene_of``."""
         return self._scene(side).hand
 
     def parts_of(self, side: Side) -> list[ScenePart]:
-        """Shapes of platform and object for drawing; raises the errors of ``scene_of``."""
+        """Shapes of platform and object, for drawing; raises the same errors as ``scene_of``."""
         return self._scene(side).parts()
 
     def scene_state(self, side: Side) -> SceneState | None:
-        """The current state of the scene; safe from any thread.
+        """The current state of the scene around a hand; safe from any thread.
 
         Returns:
             None while the simulation is closed, or without a task or such a hand.
@@ -203,7 +204,7 @@ class Simulation(Sink):
         return None if world is None else world.scenes.get(side)
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
-        """Pass every new state of a scene to one watcher; None removes it.
+        """Passes every new state of a scene to one watcher; None removes the watcher.
 
         Raises:
             SinkError: as ``scene_of``.
@@ -216,7 +217,8 @@ class Simulation(Sink):
                 world.watchers[side] = watcher
 
     def reset_object(self, side: Side) -> int:
-        """Put the object back to its start at the next step; raises the errors of ``scene_of``.
+        """Puts the object back to its start at the next step; raises the same errors as
+        ``scene_of``.
 
         Returns:
             ``SceneState.starts`` of the states after the reset.
@@ -227,13 +229,14 @@ class Simulation(Sink):
             return self._scene(side).starts + 1
 
     def put_away(self, side: Side) -> None:
-        """Remove the object at the next step; raises the errors of ``scene_of``."""
+        """Removes the object at the next step; raises the same errors as ``scene_of``."""
         world = self._open_world(side)
         with world.changed:
             world.there[side] = False
 
     def freeze(self, side: Side, frozen: bool) -> None:
-        """Freeze a hand, its scene and its clock, or continue; raises the errors of ``scene_of``.
+        """Freezes a hand, its scene and its clock, or lets them continue; raises the same errors as
+        ``scene_of``.
 
         When it continues, the hand moves to the newest command.
         """
@@ -270,7 +273,7 @@ class Simulation(Sink):
         return physics
 
     def close(self) -> None:
-        """End the simulation; a second call does nothing."""
+        """Ends the simulation; a second call does nothing."""
         with self._swapping:
             world = self._world
             self._set(_world=None)
@@ -294,7 +297,7 @@ _NUMBERS: Final = itertools.count(1)
 
 
 class World:
-    """Thread that steps the physics of all hands in real time.
+    """Thread that simulates the physics of all hands in real time.
 
     Args:
         physics: physics of each hand.
@@ -347,20 +350,20 @@ class World:
         positions: Float[np.ndarray, " n"],
         arm: Float[np.ndarray, " a"] | None,
     ) -> None:
-        """Set new servo targets for a hand and its arm; SinkError if the simulation has ended."""
+        """Sets new servo targets for a hand and its arm; SinkError if the simulation has ended."""
         if self._error is not None:
             raise SinkError(f"mujoco: the simulation ended: {self._error}") from self._error
         with self.changed:
             self._targets[side] = positions, arm
 
     def hold(self) -> None:
-        """Let the hands hold their positions."""
+        """Makes the hands hold their positions."""
         with self.changed:
             for side in self.physics:
                 self._targets[side] = None  # the position of the hand at that time
 
     def end(self) -> None:
-        """Stop the thread."""
+        """Stops the thread."""
         self._ending.set()
         self._thread.join(2.0)
 

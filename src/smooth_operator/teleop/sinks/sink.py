@@ -1,4 +1,4 @@
-"""Sinks, which receive the joint commands of a running loop, and the runner of several sinks.
+"""Sinks, which receive the joint commands of a running loop, and a runner for several sinks.
 
 A fault of one sink does not affect the others: a sink that raises is closed and opened again later,
 and its error is stored for the report at the end. Closing and opening may take long (compiling a
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Sink(ABC):
-    """Destination of commands: a robot, a simulation, a file, a bus.
+    """Destination of commands: a robot, a simulation, a file or a message bus.
 
     Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and must not
     wait, so a sink that may wait leaves the newest command to its own thread. A sink that raises is
@@ -57,8 +57,8 @@ class Sink(ABC):
 
     @property
     def actions(self) -> Mapping[str, Callable[[], None]]:
-        """Name of an action of the operator -> what it does, on another thread. ``--bind`` gives
-        inputs to actions that have none by default."""
+        """Maps the name of each operator action to a function, which another thread calls. Actions
+        that have no input by default get one with ``--bind``."""
         return {}
 
     @property
@@ -68,12 +68,12 @@ class Sink(ABC):
 
     @property
     def figures(self) -> Mapping[str, Any]:
-        """Counts and times for the summary of a run, as plain values; empty by default."""
+        """Counts and times for the summary of a run, as plain values; by default empty."""
         return {}
 
     @property
     def measures(self) -> bool:
-        """True if ``state`` returns measurements while the sink is open. True for a simulation."""
+        """True if ``state`` returns measurements while the sink is open, as in a simulation."""
         return self.simulation is not None
 
     def state(self, side: Side) -> HandState | None:
@@ -85,7 +85,7 @@ class Sink(ABC):
         return None
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """The last pose of the wrist of a hand, measured by its arm.
+        """The last pose of a hand's wrist, measured by its arm.
 
         In the frame of the robot's base: x y z [m], unit quaternion w x y z. Called on the loop's
         thread, so it must be quick. None (the default) if the sink moves no arm or is not open.
@@ -94,7 +94,7 @@ class Sink(ABC):
         return None
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
-        """The last measured joint positions of the arm of a hand [rad].
+        """The last measured joint positions of a hand's arm [rad].
 
         In the order of ``ArmCommand.joint_names``; safe from any thread. None (the default) if the
         sink moves no arm or is not open.
@@ -103,14 +103,14 @@ class Sink(ABC):
         return None
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
-        """Set the arms that carry the hands, before ``check`` and ``open``.
+        """Sets the arms that carry the hands, before ``check`` and ``open``.
 
         By default does nothing: ticks have the arms' commands.
         """
         del arms
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Check that the sink can be opened, and leave nothing open. By default checks nothing.
+        """Checks that the sink can be opened, and leaves nothing open. By default checks nothing.
 
         Raises:
             SmoothOperatorError: as ``open``.
@@ -119,7 +119,7 @@ class Sink(ABC):
 
     @abstractmethod
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Open the sink for the commands of some hands; may be called again after ``close``.
+        """Opens the sink for the commands of some hands; may be called again after ``close``.
 
         Args:
             hands: side -> robot hand.
@@ -134,7 +134,7 @@ class Sink(ABC):
 
     @abstractmethod
     def send(self, tick: Tick) -> None:
-        """Send a command; must take well under a millisecond.
+        """Sends a command; must take well under a millisecond.
 
         Raises:
             SinkError: the receiver is gone.
@@ -142,7 +142,7 @@ class Sink(ABC):
         """
 
     def stalled(self, seconds: float) -> None:
-        """React to a time without commands [s]; called from the watchdog's thread.
+        """Reacts to a time without commands [s]; called from the watchdog's thread.
 
         Called repeatedly while the silence lasts. By default does nothing.
         """
@@ -150,7 +150,7 @@ class Sink(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Write pending data and close everything; a second call does nothing."""
+        """Writes pending data and closes everything; a second call does nothing."""
 
     def _set(self, **values: object) -> None:
         """Set attributes of an open sink, although its dataclass is frozen."""
@@ -159,7 +159,7 @@ class Sink(ABC):
 
 
 def simulated_hands(sinks: Iterable[Sink]) -> LiveSimulation | None:
-    """The first simulation among sinks; None without any."""
+    """The first simulation among some sinks; None if there is none."""
     return next((sink.simulation for sink in sinks if sink.simulation is not None), None)
 
 
@@ -171,19 +171,19 @@ class Link(Protocol):
     """An open connection to a receiver; all methods are called on the sink's own thread."""
 
     def deliver(self, tick: Tick) -> None:
-        """Send a command."""
+        """Sends a command."""
 
     def stalled(self, seconds: float) -> None:
-        """Report a time without commands [s]."""
+        """Reports a time without commands [s]."""
 
     def close(self) -> None:
-        """Close the connection."""
+        """Closes the connection."""
 
 
 def sink_actions(
     sinks: Sequence[Sink], say: Callable[[str], None]
 ) -> dict[str, Callable[[], None]]:
-    """Actions of sinks by their names; each runs those of all sinks that have it."""
+    """Actions of several sinks by name; each action runs in all sinks that have it."""
 
     def act(name: str) -> None:
         for action in [sink.actions[name] for sink in sinks if name in sink.actions]:
@@ -202,33 +202,33 @@ class ThreadedSink(Sink):
 
     @abstractmethod
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
-        """Open the connection. Its errors reach the caller of ``open``."""
+        """Opens the connection. The caller of ``open`` receives its errors."""
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Open the connection and close it again; see ``Sink``."""
+        """Opens the connection and closes it again; see ``Sink``."""
         self.connect(hands, {}).close()
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Open the sink; see ``Sink``."""
+        """Opens the sink; see ``Sink``."""
         if self._sender() is not None:
             raise SinkError(f"{self.label}: it is already open")
         self._set(_now=_Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
-        """Leave a command for the thread; SinkError if the thread gave up, with its reason."""
+        """Leaves a command for the thread; SinkError, with the reason, if the thread has failed."""
         sender = self._sender()
         if sender is None:
             raise SinkError(f"{self.label}: it is not open")
         sender.post(tick)
 
     def stalled(self, seconds: float) -> None:
-        """Pass a time without commands [s] to the thread."""
+        """Passes a time without commands [s] to the thread."""
         sender = self._sender()
         if sender is not None:
             sender.silence(seconds)
 
     def close(self) -> None:
-        """Send a pending command, and close the link; a second call does nothing."""
+        """Sends a pending command, and closes the link; a second call does nothing."""
         sender = self._sender()
         self._set(_now=None)
         if sender is not None:
@@ -333,7 +333,7 @@ class SinkHealth:
 
 
 class SinkRunner:
-    """Runs several sinks as one.
+    """Runs several sinks as if they were one.
 
     Only the loop's thread calls ``send``; everything else is safe from any thread.
 
@@ -363,7 +363,7 @@ class SinkRunner:
         self._mender: threading.Thread | None = None
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Check that every sink can be opened (``Sink.check``), before anything slow is done.
+        """Checks that every sink can be opened (``Sink.check``), before any slow preparation.
 
         Raises:
             SmoothOperatorError: as ``open``.
@@ -372,7 +372,7 @@ class SinkRunner:
             entry.sink.check(hands)
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Open all sinks; if one can't be opened, leave none open.
+        """Opens all sinks; if one can't be opened, leaves none open.
 
         Raises:
             SmoothOperatorError: as ``Sink.open``; those that were open already are closed.
@@ -393,11 +393,11 @@ class SinkRunner:
         self._mender.start()
 
     def send(self, tick: Tick) -> None:
-        """Send a tick to every open sink that moves something; errors of sinks are only stored."""
+        """Sends a tick to every open sink that moves something. Errors of sinks are only stored."""
         self._hand_over(tick, observing=False)
 
     def observe(self, tick: Tick) -> None:
-        """Send a tick, with the time of sending, to the observing sinks (``Sink.observes``)."""
+        """Sends a tick, with the time of sending, to the observing sinks (``Sink.observes``)."""
         self._hand_over(tick, observing=True)
 
     def _hand_over(self, tick: Tick, observing: bool) -> None:
@@ -420,12 +420,12 @@ class SinkRunner:
         return first
 
     def stalled(self, seconds: float) -> None:
-        """Notify every open sink of a time without commands [s], also while a ``send`` hangs."""
+        """Tells every open sink about a time without commands [s], even while a ``send`` hangs."""
         for entry in self._entries:
             entry.call(lambda sink: sink.stalled(seconds))
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Pose of the wrist of a hand, from the first open sink that measures it."""
+        """Pose of a hand's wrist, from the first open sink that measures it."""
         poses: list[Float[np.ndarray, "7"] | None] = [None]
         for entry in self._entries:
             entry.call(lambda sink: poses.append(sink.measured_wrist(side)))
@@ -441,7 +441,7 @@ class SinkRunner:
         return None
 
     def add(self, sink: Sink) -> None:
-        """Add a sink; it is opened if the others are open.
+        """Adds a sink; if the others are open, opens it.
 
         Raises:
             SmoothOperatorError: as ``Sink.open``; the sink is not added.
@@ -453,7 +453,7 @@ class SinkRunner:
             self._entries = (*self._entries, entry)
 
     def remove(self, sink: Sink) -> None:
-        """Close and remove a sink, if it is one of these; its errors stay in ``report``."""
+        """Closes and removes a sink, if it is one of these; its errors stay in ``report``."""
         with self._changed:
             entries = [entry for entry in self._entries if entry.sink is sink]
             self._entries = tuple(entry for entry in self._entries if entry.sink is not sink)
@@ -462,7 +462,7 @@ class SinkRunner:
             entry.end()
 
     def close(self) -> None:
-        """Close all sinks, even if one raises; a second call does nothing."""
+        """Closes all sinks, even if one raises; a second call does nothing."""
         with self._changed:
             self._opened = None
             self._changed.notify_all()
@@ -473,11 +473,11 @@ class SinkRunner:
             entry.end()
 
     def health(self) -> list[SinkHealth]:
-        """Current health of each sink, in their order."""
+        """Current health of each sink, in the order of the sinks."""
         return [entry.health() for entry in self._entries]
 
     def report(self) -> list[SinkHealth]:
-        """Health of the removed sinks and of the others, for the end of a run."""
+        """Health of all sinks, including removed ones, for the end of a run."""
         return [entry.health() for entry in (*self._gone, *self._entries)]
 
     def _mend(self) -> None:

@@ -1,4 +1,4 @@
-"""Sink that shows the commands as a table in the terminal: a bar for each joint, mode, latency."""
+"""Sink that shows the commands in the terminal: a bar for each joint, mode and latency."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COLOURS: Final = {Mode.TRACKING: "green", Mode.BLENDING: "cyan", Mode.STOPPED: 
 
 @dataclass(frozen=True)
 class TableSink(Sink):
-    """Table on standard error, updated a few times a second; plain lines if it is not a terminal.
+    """Table on standard error, updated a few times a second; plain lines if there is no terminal.
 
     Attributes:
         rate: how often the table is drawn [Hz].
@@ -50,30 +50,30 @@ class TableSink(Sink):
 
     @property
     def label(self) -> str:
-        """``table``."""
+        """The word ``table``."""
         return "table"
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Start drawing; see ``Sink``."""
+        """Starts drawing; see ``Sink``."""
         if self._thread is not None:
             raise SinkError("table: it is already open")
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
         self._set(_thread=_Drawing(panels, open_console(stderr=True), self.rate))
 
     def send(self, tick: Tick) -> None:
-        """Store a tick."""
+        """Stores a tick."""
         if self._thread is None:
             raise SinkError("table: it is not open")
         self._thread.panels[tick.side].see(tick)
 
     def stalled(self, seconds: float) -> None:
-        """Show a time without commands."""
+        """Shows a time without commands."""
         if self._thread is not None:
             for panel in self._thread.panels.values():
                 panel.silence = seconds
 
     def close(self) -> None:
-        """Draw the table for the last time."""
+        """Draws the table for the last time."""
         drawing = self._thread
         self._set(_thread=None)
         if drawing is not None:
@@ -81,7 +81,8 @@ class TableSink(Sink):
 
 
 class HandPanel:
-    """Table of one hand. The loop calls ``see``; the drawing thread calls the other methods."""
+    """Table of one hand's joints. The loop calls ``see``; the drawing thread calls the other
+    methods."""
 
     def __init__(self, side: Side, hand: Hand) -> None:
         self.title = f"{hand.name} {side}"
@@ -93,14 +94,14 @@ class HandPanel:
         self._latencies: deque[float] = deque(maxlen=_KEPT)
 
     def see(self, tick: Tick) -> None:
-        """Store a tick."""
+        """Stores a tick."""
         self._tick, self.silence = tick, 0.0
         self._times.append(tick.time)
         if tick.arrival is not None:
             self._latencies.append((tick.time - tick.arrival.received) * 1e3)
 
     def line(self) -> str:
-        """Mode, rate and latency in one line."""
+        """Mode, rate and latency, on one line."""
         tick = self._tick
         if tick is None:
             return f"{self.title}: no command yet"
@@ -116,7 +117,7 @@ class HandPanel:
         return ", ".join(parts)
 
     def table(self) -> RenderableType:
-        """Table of joints and their positions within their limits, as a rich renderable."""
+        """Table of the joints and their positions within their limits, for rich to print."""
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text

@@ -17,7 +17,7 @@ from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 @dataclass(frozen=True)
 class Driver:
-    """The method that drives a hand.
+    """The method that drives a hand, and its settings.
 
     Attributes:
         method: name of the method.
@@ -31,7 +31,7 @@ class Driver:
 
 
 class Mode(enum.Enum):
-    """Mode of the loop for a hand."""
+    """What the loop currently does with a hand."""
 
     WAITING = "waiting"
     """No frame has come yet: the robot stays where it starts."""
@@ -56,7 +56,7 @@ class Mode(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class WristCommand:
-    """Target of a robot hand's wrist, after the clutch.
+    """Target pose of a robot hand's wrist, after the clutch.
 
     Attributes:
         pose: (7,) pose of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion
@@ -107,7 +107,7 @@ class ArmCommand:
 
 @dataclass(frozen=True, eq=False)
 class Tick:
-    """One command to one robot hand.
+    """One command to one robot hand, with the data that led to it.
 
     Attributes:
         side: side of the hand.
@@ -198,7 +198,7 @@ class HandState:
 
     @property
     def time(self) -> float:
-        """The stamp; simulations call it ``time``."""
+        """The timestamp, under the name that simulations use."""
         return self.stamp
 
 
@@ -210,7 +210,7 @@ _FORGET: Final = 0.9995
 
 
 class StampMap:
-    """Computes strictly increasing stamps by the loop's clock for the log of one hand.
+    """Computes strictly increasing timestamps on the loop's clock, for the log of one hand.
 
     Frames have stamps of the tracker's clock, which restarts with every start of the tracker.
     Commands without a frame have the loop's time. After each start, all stamps are shifted by one

@@ -1,4 +1,4 @@
-"""Sink that publishes commands over ZeroMQ as JSON messages, for a robot's driver."""
+"""Sink that publishes commands as JSON messages over ZeroMQ, for a robot's driver."""
 
 from __future__ import annotations
 
@@ -64,23 +64,23 @@ class ZmqSink(ThreadedSink):
 
     @property
     def label(self) -> str:
-        """``zmq`` and the address."""
+        """The word ``zmq`` and the address."""
         return f"zmq {self.address}"
 
     @property
     def actions(self) -> Mapping[str, Callable[[], None]]:
-        """Actions for the episode that a receiver, such as LeRobot, records."""
+        """Operator actions for the episode that a receiver, such as LeRobot, records."""
         return episode_actions(self.episode)
 
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
-        """Open the socket."""
+        """Opens the socket."""
         context, socket = open_publisher(self.address, "commands")
         names = {side: hand.name for side, hand in hands.items()}
         return _Publisher(context, socket, names, self.valid_for_s, self.episode)
 
 
 def episode_actions(counts: dict[str, int]) -> dict[str, Callable[[], None]]:
-    """Actions of ``EPISODE_ACTIONS``, which count how often the operator did each."""
+    """Actions of ``EPISODE_ACTIONS``; each call increases the action's count in ``counts``."""
 
     def count(name: str) -> None:
         counts[name] += 1
@@ -89,7 +89,7 @@ def episode_actions(counts: dict[str, int]) -> dict[str, Callable[[], None]]:
 
 
 def check_address(address: str) -> None:
-    """Raises ConfigError for a text that is not an address of ZeroMQ."""
+    """Raises ConfigError for a text that is not a ZeroMQ address."""
     if not is_zmq_address(address):
         raise ConfigError(
             f"zmq: {address!r} is not a ZeroMQ address; expected an address such as "
@@ -98,7 +98,7 @@ def check_address(address: str) -> None:
 
 
 def open_publisher(address: str, what: str) -> tuple[Any, Any]:
-    """Opens a ZeroMQ context and a socket that publishes (PUB) at an address.
+    """Opens a ZeroMQ context, and a socket that publishes (PUB) at an address.
 
     Args:
         address: address for subscribers.
@@ -129,7 +129,8 @@ def open_publisher(address: str, what: str) -> tuple[Any, Any]:
 
 
 def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
-    """Message for a command; ``side`` comes first, so that subscribers can filter by it."""
+    """Makes the message for a command; ``side`` comes first, so that subscribers can filter by
+    it."""
     frame, wrist = None if tick.arrival is None else tick.arrival.frame, tick.wrist
     message: dict[str, Any] = {
         "side": tick.side,
@@ -166,7 +167,8 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
 
 
 def arm_message(arm: ArmCommand) -> dict[str, Any]:
-    """Part of a command message for the arm, with its measured positions if there are any."""
+    """The part of a command message that concerns the arm, with its measured positions if there are
+    any."""
     message: dict[str, Any] = {
         "name": arm.name,
         "names": list(arm.joint_names),
@@ -181,8 +183,8 @@ def arm_message(arm: ArmCommand) -> dict[str, Any]:
 
 
 def state_message(state: HandState) -> dict[str, Any]:
-    """Message for a measured state. ``topic`` comes first, so that subscribers can filter by it and
-    do not mistake the message for a command."""
+    """Makes the message for a measured state. ``topic`` comes first, so that subscribers can filter
+    by it and do not mistake the message for a command."""
     message: dict[str, Any] = {
         "topic": "/state",
         "side": state.side,
@@ -207,7 +209,7 @@ def state_message(state: HandState) -> dict[str, Any]:
 
 
 def encode(message: Mapping[str, Any]) -> bytes:
-    """Encode a message as JSON without blanks. Refuses NaN, which JSON does not have."""
+    """Encodes a message as JSON without spaces. Refuses NaN, which JSON does not have."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 

@@ -1,1 +1,1 @@
-"""Sources of hand frames: one module for each kind."""
+"""Sources, which provide hand frames: one module for each kind."""

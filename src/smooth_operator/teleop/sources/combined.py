@@ -21,7 +21,7 @@ _WORST_FIRST: Final = ("failed", "ended", "waiting", "running")
 
 @dataclass(frozen=True)
 class CombinedSource:
-    """Hands of one source with the wrist poses of another one; see ``LiveSource``.
+    """Source with the hands of one source and the wrist poses of another; see ``LiveSource``.
 
     A frame gets the newest pose that arrived before it; if this is older than ``WRIST_AGE_S``, its
     wrist is not valid.
@@ -39,12 +39,12 @@ class CombinedSource:
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
         return f"{self.hands.label} with the wrist from {self.wrist.label}"
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Gaps that the tracker of the fingers is known to report; see ``source_gaps``."""
+        """Gaps that the finger tracker is known to report in pinches; see ``source_gaps``."""
         return source_gaps(self.hands)
 
     def prepare(self) -> None:
@@ -81,7 +81,7 @@ class CombinedSource:
         self.wrist.stop()
 
     def health(self) -> SourceHealth:
-        """The worse health of the two, with the details of both."""
+        """Health of the source that is worse off, with the details of both."""
         both = [(source.label, source.health()) for source in (self.hands, self.wrist)]
         state = min((health.state for _, health in both), key=_WORST_FIRST.index)
         details = (f"{label}: {health.detail}" for label, health in both if health.detail)
@@ -89,6 +89,7 @@ class CombinedSource:
 
 
 def part_of(source: LiveSource, kind: type[_Part]) -> _Part | None:
-    """Return the source, or the part of a ``CombinedSource``, of a class; None without one."""
+    """Returns the source, or the part of a ``CombinedSource``, that is of a class; None if there is
+    none."""
     parts = (source.hands, source.wrist) if isinstance(source, CombinedSource) else (source,)
     return next((part for part in parts if isinstance(part, kind)), None)

@@ -1,4 +1,4 @@
-"""Inboxes: sockets on which sources receive messages over UDP, TCP, ZeroMQ and gRPC.
+"""Inboxes: sockets on which sources receive messages by UDP, TCP, ZeroMQ or gRPC.
 
 A web page can send any data, after an HTTP header, to any port of its user's computer. Therefore an
 inbox closes a TCP connection whose first bytes do not belong to the protocol.
@@ -34,8 +34,8 @@ ending."""
 
 
 class Inbox(ABC):
-    """An open socket. A constructor raises SourceError for an address that it can't use, and
-    MissingExtraError if its library is not installed.
+    """An open socket on which messages arrive. A constructor raises SourceError for an address that
+    it can't use, and MissingExtraError if its library is not installed.
 
     Attributes:
         address: address on which it listens or to which it is connected, with the actual port if
@@ -47,13 +47,13 @@ class Inbox(ABC):
     problem = ""
 
     def sockets(self) -> list[socket.socket]:
-        """Sockets for which ``receive`` waits, if ``select`` can wait for them."""
+        """Sockets on which ``receive`` waits, if ``select`` can wait for them."""
         return []
 
     @abstractmethod
     def receive(self, timeout: float) -> list[Message]:
         """Waits up to ``timeout`` [s], and returns the newest messages in order; SourceError if the
-        socket failed."""
+        socket has failed."""
 
     @abstractmethod
     def close(self) -> None:
@@ -61,7 +61,7 @@ class Inbox(ABC):
 
 
 class UdpInbox(Inbox):
-    """A bound UDP socket. A message consists of its bytes and the address of its sender.
+    """A bound UDP socket. Each message is returned with the address of its sender.
 
     Args:
         host: address to listen on.
@@ -131,7 +131,7 @@ _NEWEST_PARTS: Final = 16
 
 
 class TcpInbox(Inbox):
-    """A listening socket and the connections to it.
+    """A listening TCP socket and the connections to it.
 
     A message consists of its bytes, the address of its sender, and the number of the connection.
     For a connection that was closed because it spoke another protocol, the message is the error.
@@ -246,7 +246,7 @@ class _Client:
 
 
 class Together(Inbox):
-    """Several inboxes with sockets, used as one."""
+    """Several inboxes with sockets, used as if they were one."""
 
     def __init__(self, inboxes: Sequence[Inbox]) -> None:
         self._inboxes = inboxes
@@ -266,7 +266,7 @@ class Together(Inbox):
 
 
 def split_lines(buffer: bytearray) -> list[bytes]:
-    """Removes complete lines from the front of a buffer, and returns those that are not empty."""
+    """Removes complete lines from the front of a buffer. Returns those that are not empty."""
     end = buffer.rfind(b"\n") + 1
     lines = bytes(buffer[:end]).split(b"\n")
     del buffer[:end]

@@ -1,4 +1,4 @@
-"""Base of live sources, and the mailbox with the newest frame of each hand.
+"""Base class of live sources, and the mailbox that holds the newest frame of each hand.
 
 A source runs on its own thread and posts frames into a mailbox with one place for each hand. A new
 frame overwrites one that was not taken, so the loop always uses the newest.
@@ -36,7 +36,7 @@ _GAPS: Final = 5  # times between frames for the median, the period of a tracker
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A received frame.
+    """A frame that has arrived from a source, with the time of its arrival.
 
     Attributes:
         frame: the hand; its stamp is by the tracker's clock, or ``received`` if it had none.
@@ -63,7 +63,7 @@ class Arrival:
 
 
 class Mailbox:
-    """Holds the newest frame of each hand, from the source to the loop; thread-safe.
+    """Passes the newest frame of each hand from the source to the loop; thread-safe.
 
     Attributes:
         received: number of posted frames.
@@ -131,18 +131,18 @@ class Mailbox:
             return self._newest.pop(side, None)
 
     def newest(self, side: Side) -> Arrival | None:
-        """Returns the arrival that ``take`` would return, and leaves it in the mailbox."""
+        """Returns the frame that ``take`` would return, but leaves it in the mailbox."""
         with self._arrived:
             return self._newest.get(side)
 
     def following(self, side: Side) -> float | None:
-        """Expected time of the next frame of a hand [s]; None before the second frame."""
+        """Time at which a hand's next frame is expected [s]; None before the second frame."""
         with self._arrived:
             gaps = self._gaps.get(side)
             return self._latest[side] + median(gaps) if gaps else None
 
     def sleep(self, timeout: float, received: int | None = None) -> None:
-        """Sleeps up to a timeout [s] or until ``wake``.
+        """Sleeps until ``wake`` is called, at most for a timeout [s].
 
         Args:
             received: last known number of posted frames; the sleep also ends as soon as it differs.
@@ -156,14 +156,15 @@ class Mailbox:
             self._woken = False
 
     def wait(self, sides: Collection[Side], timeout: float) -> bool:
-        """Sleeps up to a timeout [s] until a frame of one of the hands arrives; True if one did."""
+        """Sleeps until a frame of one of the hands arrives, at most for a timeout [s]; True if one
+        has arrived."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._woken or self._has(sides), timeout)
             self._woken = False
             return self._has(sides)
 
     def wake(self) -> None:
-        """Ends the current or the next ``wait`` or ``sleep``."""
+        """Ends a current ``wait`` or ``sleep``, or the next one."""
         with self._arrived:
             self._woken = True
             self._arrived.notify_all()
@@ -218,13 +219,13 @@ class LiveSource(Protocol):
         """Short human-readable name of the source."""
 
     def prepare(self) -> None:
-        """Optionally opens everything that ``start`` needs; raises the same errors.
+        """Opens everything that ``start`` needs; raises the same errors. Calling it is optional.
 
         Errors are thus reported before the slow work of a run.
         """
 
     def start(self, mailbox: Mailbox) -> None:
-        """Starts to post frames; returns immediately.
+        """Starts to post frames, and returns immediately.
 
         Raises:
             SourceError: it can't be opened, such as a missing camera or a port in use.
@@ -239,7 +240,8 @@ class LiveSource(Protocol):
 
 
 def source_gaps(source: LiveSource) -> Mapping[str, float]:
-    """Finger -> distance from the thumb that the tracker reports in a pinch [palm lengths].
+    """Maps each finger to its distance from the thumb that the tracker reports in a pinch [palm
+    lengths].
 
     Only a source with known gaps has the attribute ``pinch_gaps``.
     """
@@ -248,7 +250,7 @@ def source_gaps(source: LiveSource) -> Mapping[str, float]:
 
 
 class ThreadedSource(ABC):
-    """A source whose method ``run`` is called on a thread of its own.
+    """Base class of sources whose method ``run`` runs on its own thread.
 
     Subclasses are frozen dataclasses of settings; their state is in ``Running``.
     """
@@ -256,7 +258,7 @@ class ThreadedSource(ABC):
     @property
     @abstractmethod
     def label(self) -> str:
-        """Short name that people read."""
+        """Short human-readable name of the source."""
 
     @abstractmethod
     def run(self, running: Running) -> None:
@@ -266,7 +268,7 @@ class ThreadedSource(ABC):
         """
 
     def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
-        """Opens everything that the thread needs; errors reach the caller."""
+        """Opens everything that the thread needs. The caller receives the errors."""
 
     def prepare(self) -> None:
         """Opens the source before ``start``; see ``LiveSource``."""
@@ -274,7 +276,7 @@ class ThreadedSource(ABC):
         object.__setattr__(self, "_prepared", True)
 
     def start(self, mailbox: Mailbox) -> None:
-        """Starts; see ``LiveSource``."""
+        """Starts the thread; see ``LiveSource``."""
         if not self.__dict__.pop("_prepared", False):
             self.open()
         running = Running(mailbox, self.label)
@@ -283,7 +285,7 @@ class ThreadedSource(ABC):
         running.begin(self.run)
 
     def stop(self) -> None:
-        """Stops; see ``LiveSource``."""
+        """Stops the thread; see ``LiveSource``."""
         running: Running | None = getattr(self, "_running", None)
         if running is not None:
             running.end()
@@ -295,7 +297,7 @@ class ThreadedSource(ABC):
 
 
 class Running:
-    """State of a started source: its thread, its mailbox and its health.
+    """State of a source that was started: its thread, its mailbox and its health.
 
     Attributes:
         stopping: event that ends the source; ``stopping.wait(seconds)`` sleeps.

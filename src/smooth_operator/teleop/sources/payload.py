@@ -1,4 +1,4 @@
-"""Reader for messages with hand landmarks from other programs, as bytes or JSON.
+"""Reads messages with hand landmarks from other programs, as bytes or JSON.
 
 A message is one of
 
@@ -65,7 +65,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Forms:
-    """Settings that describe the format of messages.
+    """Settings that say which format messages have.
 
     Attributes:
         layout: order of the landmarks in a message of 21; None for this project's order.
@@ -81,7 +81,7 @@ class Forms:
 
 
 class PayloadReader:
-    """Reader for the messages of one stream; takes the arguments of ``read_payload``."""
+    """Reads the messages of one stream; takes the arguments of ``read_payload``."""
 
     def __init__(self, side: Side | None, forms: Forms) -> None:
         self._side, self._forms = side, forms
@@ -172,7 +172,7 @@ def hand_frame(
     world: str | None = None,
     forearm: Float[np.ndarray, "3"] | None = None,
 ) -> HandFrame:
-    """Makes a hand frame from a tracker's points.
+    """Makes a hand frame from the points of a tracker.
 
     Args:
         points: (n, 3) positions [m] with n = 21, 25, 26 or 27; NaN for missing ones. If all are
@@ -219,14 +219,14 @@ def hand_frame(
 def pose_frame(
     wrist: Float[np.ndarray, "7"], stamp: float | None, side: Side, world: str
 ) -> HandFrame:
-    """Makes a frame without landmarks, for a tracker that gives a pose only."""
+    """Makes a frame without landmarks, for a tracker that provides only a pose."""
     nowhere = np.full((schema.NUM_LANDMARKS, 3), np.nan)
     return HandFrame(nowhere, stamp, side, T_world_wrist=wrist, world=world)
 
 
 def read_side(label: Any, otherwise: Side | None) -> Side:
-    """Reads the side in a message, or returns ``otherwise``; raises RecordingError if the side is
-    wrong or missing."""
+    """Reads the side from a message, or returns ``otherwise``; RecordingError if the side is wrong
+    or missing."""
     if label is None:
         return _checked_side(otherwise)
     try:
@@ -291,7 +291,7 @@ def _read_hand(
 
 
 def read_wrist(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Reads ``wrist`` and ``world`` of a message, as arguments of ``hand_frame``; empty without a
+    """Reads ``wrist`` and ``world`` from a message, as arguments of ``hand_frame``; empty without a
     wrist."""
     wrist = _beside(message, "wrist", (7,))
     return {} if wrist is None else {"wrist": wrist, "world": _world(message)}

@@ -1,4 +1,4 @@
-"""Base of the sources that receive messages, and the receiver that posts their hands."""
+"""Base class of sources that receive messages, and the receiver that posts the hands in them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def only_side(hands: str) -> Side | None:
 
 
 class StreamSource(ThreadedSource):
-    """Base of sources that receive messages; subclasses open the inbox and read its messages.
+    """Base class of sources that receive messages. Subclasses open the inbox and read its messages.
 
     Attributes:
         side: hands to use.
@@ -70,7 +70,7 @@ class StreamSource(ThreadedSource):
 
     @abstractmethod
     def reader(self) -> Reader:
-        """Returns a function that reads the messages of one run; it raises RecordingError."""
+        """Returns a function that reads the messages of one run and may raise RecordingError."""
 
     @property
     def sides(self) -> Collection[Side]:
@@ -79,21 +79,22 @@ class StreamSource(ThreadedSource):
 
     @property
     def hint(self) -> str:
-        """Advice to show before the first message; begins with a comma or semicolon, or empty."""
+        """Advice to show before the first message arrives. It is empty, or begins with a comma or
+        semicolon."""
         return ""
 
     @property
     def endpoint(self) -> str | None:
-        """Address on which it listens, with the actual port; None before the start."""
+        """Address on which the source listens, with the actual port; None before the start."""
         inbox: Inbox | None = getattr(self, "_inbox", None)
         return None if inbox is None else inbox.address
 
     def open(self) -> None:
-        """Opens the inbox here, where its errors reach the caller."""
+        """Opens the inbox, so that the caller receives the errors."""
         object.__setattr__(self, "_inbox", self.connect())
 
     def run(self, running: Running) -> None:
-        """Receives messages until the end."""
+        """Receives messages until the source is stopped."""
         inbox: Inbox = getattr(self, "_inbox")  # noqa: B009  (set in open(), past the frozen fields)
         read = self.reader()
         try:
@@ -112,7 +113,7 @@ class StreamSource(ThreadedSource):
 
 
 class MessageReceiver:
-    """Reads messages and posts their hands.
+    """Reads messages and posts the hands in them.
 
     An unreadable message does not end the source: the health states the number of such messages and
     the last reason. The session number of a hand increases when its tracker sends a new
@@ -151,7 +152,7 @@ class MessageReceiver:
         running.health = SourceHealth("waiting", f"listening on {where}{hint}")
 
     def take(self, message: Message, received: float) -> None:
-        """Reads a message and posts its hands; ``received`` is a time of the loop's clock [s]."""
+        """Reads a message and posts its hands; ``received`` is a time on the loop's clock [s]."""
         if isinstance(message[0], RecordingError):
             self.refused += 1
             self._refusal = str(message[0])[:_MAX_REASON]
@@ -216,7 +217,8 @@ class MessageReceiver:
 
 
 class OneSender:
-    """Accepts only the first address that sends, until it has been silent for a second.
+    """Accepts messages only from the first address that sends, until it has been silent for a
+    second.
 
     An app may open a socket for each hand, so all programs at one address count as one sender.
     """
@@ -226,7 +228,8 @@ class OneSender:
         self._last = 0.0
 
     def check(self, host: bytes, received: float) -> None:
-        """Raises RecordingError for a message from another address at a time of receipt [s]."""
+        """Raises RecordingError for a message from another address; takes the time of receipt
+        [s]."""
         if self._host not in (None, host) and received - self._last <= SILENCE_S:
             first = (self._host or b"").decode()
             raise RecordingError(

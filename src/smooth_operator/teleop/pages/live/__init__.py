@@ -1,1 +1,1 @@
-"""The live page: a separate process draws it, so that the loop never waits for a browser."""
+"""The live page. A separate process draws it, so that the loop never waits for a browser."""

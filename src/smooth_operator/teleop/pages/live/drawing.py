@@ -1,4 +1,4 @@
-"""Draws the live page, at a rate that the slowest browser can follow."""
+"""Draws the live page, no faster than the slowest browser can follow."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _IDLE_S: Final = 0.5  # period without a browser [s]
 
 
 class LiveDrawing:
-    """Draws the scene and the panel of the live page from one thread.
+    """Draws the scene and the control panel of the live page from one thread.
 
     Args:
         server: server of the page.
@@ -178,7 +178,7 @@ _PATIENCE_S: Final = 2.0  # longest wait for one browser [s]
 
 
 class Pace:
-    """Waits until the browsers have handled a frame, so that at most one frame is in transit.
+    """Waits until the browsers have processed a frame, so that at most one frame is in transit.
 
     Browsers handle messages in order. Without the wait, a slow browser would lag more and more, and
     a page that is seconds late is dangerous.
@@ -194,7 +194,7 @@ class Pace:
         return max((seconds for _, seconds in self._recent), default=0.0)
 
     def wait(self) -> None:
-        """Waits for all browsers, for each at most two seconds."""
+        """Waits for all browsers, at most two seconds for each."""
         clients = list(self._server.get_clients().values())
         slowest = max((_round_trip(client) for client in clients), default=0.0)
         now = time.monotonic()

@@ -1,4 +1,5 @@
-"""The loop's side of the live page: starts the page's process, answers it and carries out clicks.
+"""The loop's part of the live page: starts the page's process, answers its requests and carries out
+clicks.
 
 Drawing in Python takes a tenth of a core for each hand and would delay commands if it ran in the
 loop's process. So the page is a separate process of lower priority. It asks for the state at its
@@ -38,11 +39,11 @@ if TYPE_CHECKING:
 
 
 class LoopEnded(Exception):
-    """Raised when the loop's process has closed the pipe or has ended."""
+    """The loop's process has closed the pipe or has ended."""
 
 
 class Link:
-    """One end of the pipe between page and loop; each message is a line of JSON."""
+    """One end of the pipe between page and loop. Each message is one line of JSON."""
 
     def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         self._in, self._out = incoming, outgoing
@@ -67,7 +68,7 @@ class Link:
 
 
 class LoopLink:
-    """The page's end of the pipe: asks for the state, sends clicks, and checks the heartbeat."""
+    """The page's end of the pipe: requests the state, sends clicks, and checks the heartbeat."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -79,15 +80,15 @@ class LoopLink:
 
     @property
     def alive(self) -> bool:
-        """True if the loop's process answered within the last 0.5 s, so a stop works."""
+        """True if the loop's process has answered within the last 0.5 s, so that a stop works."""
         return time.monotonic() - self._pulse < _PULSE_LIMIT_S
 
     def do(self, name: str, *values: Any) -> None:
-        """Sends the action of a click."""
+        """Sends the action of a button that was clicked."""
         self._link.send({"do": [name, *values]})
 
     def look(self, *, text: bool, scenery: int, pictures: Sequence[int]) -> dict[str, Any]:
-        """Asks for the state.
+        """Requests the state of the loop.
 
         Returns:
             the state, as ``LiveSession.look`` returns it; or ``setup``, another page to build; or
@@ -160,7 +161,7 @@ class PageSetup:
 
 
 class LivePage:
-    """A live page in its own process, which starts at once.
+    """A live page in its own process, which starts immediately.
 
     Use it as a context manager, or call ``stop``.
 
@@ -199,12 +200,12 @@ class LivePage:
 
     @property
     def url(self) -> str:
-        """Address of the page with its token; waits until the port is open. ConfigError if the page
+        """Address of the page with its token. Waits until the port is open; ConfigError if the page
         can't be served at the address."""
         return self._address.result()
 
     def serve(self, session: LiveSession) -> str:
-        """Shows a loop in place of the previous one; returns the page's address.
+        """Shows a loop in place of the previous one. Returns the page's address.
 
         If the stop was pressed while there was no loop, this loop is stopped.
 
@@ -217,7 +218,7 @@ class LivePage:
         return url
 
     def change(self, setup: PageSetup) -> None:
-        """Shows another setup at the same address; nothing moves until ``serve``."""
+        """Shows other hands or settings at the same address; nothing moves until ``serve``."""
         session, self._session = self._session, None
         self.setup = self._next = setup
         if session is not None:

@@ -1,4 +1,4 @@
-"""Panel of the live page, with controls and the state of the loop."""
+"""Control panel of the live page, which also shows the state of the loop."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from smooth_operator.types import Side
 
 
 class LivePanel:
-    """Panel with controls and texts beside the scene.
+    """Control panel with buttons and texts beside the scene.
 
     Args:
         server: server of the page.
@@ -65,7 +65,7 @@ class LivePanel:
         panel.dock_below(gui.main_panel)
 
     def change_hands(self, hands: Mapping[Side, Hand], scene: LiveScene) -> None:
-        """Shows other hands; the selected tab and the switches stay as they are."""
+        """Shows other hands. The selected tab and the switches stay as they are."""
         self._scene = scene
         self._set_hands(hands)
         self.show_meshes(False, "")
@@ -82,7 +82,8 @@ class LivePanel:
         name_panel(self._gui, hand.name)
 
     def show(self, state: Mapping[str, Any], delay: float = 0.0) -> None:
-        """Shows the state from ``LoopLink.look``, and the delay of the slowest browser [s]."""
+        """Shows the state that ``LoopLink.look`` returns, and the delay of the slowest browser
+        [s]."""
         if "trouble" in state:
             # an error may name a method
             trouble = "some parts can't be shown" if self._blind else state["trouble"]
@@ -194,7 +195,7 @@ class LivePanel:
         self._do(name, *([self._name.value] if name == "keep" else []))
 
     def show_meshes(self, there: bool, note: str) -> None:
-        """Shows the switch for meshes, and the reason if there are no meshes."""
+        """Shows the switch for meshes, or the reason why there are no meshes."""
         self._meshes_box.visible = there
         self._meshes_note.content = plain(note)
         self._meshes_note.visible = bool(note)
@@ -217,7 +218,7 @@ class LivePanel:
 
     @property
     def pictures(self) -> list[int]:
-        """Numbers of the cameras' pictures on show."""
+        """Numbers of the camera pictures that are currently shown."""
         return [camera.number for camera in self._cameras]
 
     def _show_cameras(self, states: Sequence[Mapping[str, Any]]) -> None:

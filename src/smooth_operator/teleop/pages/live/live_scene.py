@@ -71,7 +71,7 @@ _AXES: Final = (0.12, 0.006)  # length and thickness of the target's axes [m]
 
 
 class ArmRoom:
-    """Draws the arms with their hands in a room, at a smaller scale.
+    """Draws the arms with their hands at a smaller scale, in a room.
 
     The solid arm shows the command; a translucent arm shows the measured positions, if there are
     any. Three axes show the target of the wrist.
@@ -122,7 +122,8 @@ class ArmRoom:
         return np.asarray(self._high - self._low)
 
     def put(self, middle: Float[np.ndarray, "3"]) -> None:
-        """Places the picture; ``middle`` is its centre: right, up and toward the viewer [m]."""
+        """Places the picture; ``middle`` is its centre, given as right, up and towards the viewer
+        [m]."""
         offset = middle - (self._low + self._high) / 2
         pose = pose_of(rigid(_VIEW.T @ self._rows, offset @ _VIEW))
         self._root.position, self._root.wxyz = pose[:3], pose[3:]
@@ -190,7 +191,7 @@ _ROUND: Final = 24  # edges of round shapes, which are small on the page
 
 
 class SceneryNodes:
-    """Draws the shapes of a task around one robot hand, in the palm frame ``root``."""
+    """Draws the shapes of a task around one robot hand, in its palm frame, the node ``root``."""
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
         self._scene, self._root, self._scale = scene, root, scale
@@ -205,13 +206,13 @@ class SceneryNodes:
         return bool(self._parts)
 
     def bounds(self, pose: Sequence[float]) -> Float[np.ndarray, "c 3"]:
-        """(c, 3) points around the object at a pose, in the palm frame [m]."""
+        """(c, 3) points around the object in a pose, in the palm frame [m]."""
         turn = np.array(pose[3:], float)
         corners: np.ndarray = poses.rotate(turn, _SPACE * self._corners) + np.array(pose[:3])
         return corners
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
-        """Shows other shapes; see ``Scenery``."""
+        """Replaces the shapes; see ``Scenery``."""
         for node, _, _ in self._parts:
             node.remove()
         self._parts = []
@@ -237,7 +238,7 @@ class SceneryNodes:
         self._put()
 
     def draw(self, pose: Sequence[float] | None) -> None:
-        """Places the object at a pose; None leaves it where it is."""
+        """Moves the object to a pose; None leaves it where it is."""
         if pose is not None:
             self._object = np.array(pose, float)
             self._put()
@@ -249,7 +250,7 @@ class SceneryNodes:
                 node.visible = not hidden
 
     def place(self, pose: Float[np.ndarray, "7"]) -> None:
-        """Sets the pose of the shapes' frame in the frame of the node's parent."""
+        """Sets the pose of the shapes' frame in the frame of the parent node."""
         self._fixture = pose
         self._put()
 
@@ -284,7 +285,8 @@ _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up
 
 
 class HandsScene:
-    """Robot hands beside their operator's, with tasks and arms. Palms face the viewer, fingers up.
+    """Robot hands beside the operator's hands, with tasks and arms. Palms face the viewer, fingers
+    up.
 
     Args:
         scene: scene of a viser server, or one with the same methods.
@@ -370,15 +372,15 @@ class HandsScene:
 
     @property
     def has_task(self) -> bool:
-        """True if a hand works on the object of a task."""
+        """True if a hand is working on the object of a task."""
         return any(view.scenery.there for view in self._sides.values())
 
     def root_of(self, side: Side) -> Any:
-        """Frame of a robot hand's palm."""
+        """Frame of the palm of a robot hand."""
         return self._sides[side].row.roots["robot"]
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
-        """Shows the hands; see ``LiveSession.look``."""
+        """Shows new states of the hands; see ``LiveSession.look``."""
         for side, view in self._sides.items():
             if side in hands:
                 state = hands[side]
@@ -388,7 +390,7 @@ class HandsScene:
                     self._room.arms[side].draw(state["arm"], positions)
 
     def draw_scenery(self, scenery: Mapping[str, Any]) -> None:
-        """Shows the task of each hand; see ``Scenery``."""
+        """Shows new states of the task around each hand; see ``Scenery``."""
         self.scenery_number = scenery["number"]
         if "parts" in scenery:
             for side, view in self._sides.items():
@@ -410,7 +412,7 @@ class HandsScene:
                     view.scenery.place(arm.place_scenery(np.array(fixture, float)))
 
     def set_overlay(self, overlay: bool) -> None:
-        """Shows each human hand inside its robot hand, or side by side."""
+        """Shows each human hand inside its robot hand, or beside it."""
         for view in self._sides.values():
             view.set_overlay(overlay)
 
@@ -420,7 +422,7 @@ class HandsScene:
         self._aim()
 
     def set_keyvectors(self, visible: bool) -> None:
-        """Shows or hides the thumb-to-tip lines and the targets of the fingertips."""
+        """Shows or hides the thumb-to-tip lines and the fingertip targets."""
         for view in self._sides.values():
             view.row.set_keyvectors(visible)
             view.targets.set_visible(visible)
@@ -431,18 +433,18 @@ class HandsScene:
             view.robot.show(second=visible)
 
     def add_meshes(self, views: Mapping[Side, HandView]) -> None:
-        """Draws the robots with meshes from now on; a switch can still show simple shapes."""
+        """Draws the robot hands with meshes from now on; a switch can still show simple shapes."""
         for side, view in views.items():
             self._sides[side].robot.add(view)
 
     def set_meshes(self, visible: bool) -> None:
-        """Draws the meshes, if there are any, or simple shapes."""
+        """Draws meshes, if there are any, or simple shapes."""
         for view in self._sides.values():
             view.robot.show(meshes=visible)
 
 
 class LiveScene(HandsScene):
-    """The 3D scene of the live page, at which the browsers' cameras are aimed.
+    """The 3D scene of the live page, and the browsers' cameras, which are aimed at it.
 
     Args:
         server: the viser server.
@@ -600,7 +602,7 @@ def _landmarks(state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
 
 
 def palm_fit(hand: Hand, state: Mapping[str, Any]) -> Similarity[np.ndarray] | None:
-    """Transform from the operator's landmarks to the palm frame of a robot hand.
+    """Transform from the operator's landmarks to a robot hand's palm frame.
 
     Args:
         state: state of the hand; see ``LiveSession.look``.

@@ -1,4 +1,5 @@
-"""State of a running loop as JSON for its page, and actions of the page's controls."""
+"""Provides the state of a running loop to its page as JSON, and carries out the actions of the
+page's controls."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ _TELLING: Final = ("solve", "total")
 
 
 class LiveSession:
-    """State and actions of a loop for a page. The page's threads call its methods, except
+    """Provides a loop's state and actions to a page. The page's threads call its methods, except
     ``watch``, which the loop's thread calls.
 
     Args:
@@ -110,7 +111,7 @@ class LiveSession:
         self._next_hand = ""
 
     def watch(self, tick: Tick) -> None:
-        """Stores the state of a tick; the loop calls this after its sinks."""
+        """Stores the state at a tick; the loop calls this after its sinks."""
         self._ticks[tick.side] = tick
         if tick.mode is Mode.STOPPED:
             self._stopping = False
@@ -124,7 +125,7 @@ class LiveSession:
             self._events.append((tick.time, line))
 
     def do(self, name: str, *values: Any) -> None:
-        """Carries out the action of a control; an error becomes a message on the page."""
+        """Carries out the action of a control. An error becomes a message on the page."""
         try:
             if name not in self._actions:
                 raise ConfigError(f"the page requests the unknown action {name!r}")
@@ -143,7 +144,7 @@ class LiveSession:
 
     @property
     def stopped(self) -> bool:
-        """True if an emergency stop holds a hand, now or as of the loop's next command."""
+        """True if an emergency stop holds a hand now, or will as of the loop's next command."""
         return self._stopping or any(p.supervisor.stopped for p in self.loop.pipelines.values())
 
     def look(
@@ -182,11 +183,11 @@ class LiveSession:
         return shown
 
     def arrival(self, side: Side) -> Arrival | None:
-        """The frame that ``look`` shows as the operator's hand."""
+        """The frame that ``look`` reports as the operator's hand."""
         return self._arrivals.get(side)
 
     def close(self) -> None:
-        """Ends the background work."""
+        """Ends the work in the background."""
         self.switcher.close()
 
     def _hand(self, side: Side, tick: Tick, now: float) -> dict[str, Any]:
@@ -357,7 +358,7 @@ class RateMeter:
         self._start: tuple[int, float] | None = None
 
     def count(self, number: int, time: float) -> None:
-        """Updates the rate with the counter's value at a time of a monotonic clock [s]."""
+        """Updates the rate with the counter's value at a time on a monotonic clock [s]."""
         if self._start is None:
             self._start = number, time
         elif time - self._start[1] >= self._window:

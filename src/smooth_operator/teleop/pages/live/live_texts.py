@@ -1,4 +1,4 @@
-"""Texts of the live page as HTML, made by the macros of ``live_texts.html.j2``, which escape
+"""Texts of the live page as HTML, from the macros in ``live_texts.html.j2``, which escape
 values."""
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ def _macros() -> Any:
 
 
 def modes(hands: Mapping[str, Mapping[str, Any]], notice: str = "") -> str:
-    """Mode of each hand from ``LiveSession.look``; the notice if there are no hands."""
+    """Mode of each hand, from the state of ``LiveSession.look``; the notice if there are no
+    hands."""
     return str(_macros().modes(hands, notice))
 
 
 def summary(status: Mapping[str, Any]) -> str:
-    """Rates of the tracker and the commands, latency, and state of the source."""
+    """Rates of the tracker and of the commands, latency, and state of the source."""
     frames, commands = _rates(status["frame_rates"]), _rates(status["rates"])
     return str(_macros().summary(status, frames, commands))
 
 
 def timing(status: Mapping[str, Any]) -> str:
-    """Stages, counts of errors, sinks, and the last events."""
+    """Time of each stage, error counts, sinks, and the last events."""
     refused: Counter[str] = Counter()
     for reasons in status["refused"].values():
         refused.update(reasons)
@@ -51,12 +52,12 @@ def timing(status: Mapping[str, Any]) -> str:
 
 
 def is_late(camera: Mapping[str, Any]) -> bool:
-    """True if a camera's picture is too old to work by; see ``Cameras.states``."""
+    """True if a camera's picture is too old to work with; see ``Cameras.states``."""
     return not camera.get("age_s", LATE_S) < LATE_S
 
 
 def picture(name: str, jpeg: str, late: bool) -> str:
-    """Picture of a camera (JPEG in base64), dimmed if it is late; empty without one."""
+    """Picture of a camera (JPEG in base64), dimmed if it is late; empty if there is no picture."""
     return str(_macros().picture(name, jpeg, late)) if jpeg else ""
 
 
@@ -66,18 +67,18 @@ def camera(state: Mapping[str, Any], late: bool) -> str:
 
 
 def slow(delay: float) -> str:
-    """Warning if a browser has a large delay [s]; otherwise empty."""
+    """Warning if a browser has a long delay [s]; otherwise empty."""
     return "" if delay < _SLOW_S else str(_macros().slow(delay))
 
 
 def notice(building: str, message: str) -> str:
-    """Work in progress and the last error; empty if there is neither."""
+    """Work in progress and the last error; empty if there is nothing to report."""
     return str(_macros().notice(building, message)) if building or message else ""
 
 
 def contact_level(hands: Mapping[str, Any]) -> str:
-    """Hidden element with the largest contact of a finger, for ``contact_sound.js``; 0 for hands
-    that the operator does not move."""
+    """Hidden element with the strongest contact of any finger, for ``contact_sound.js``; 0 for
+    hands that the operator does not move."""
     levels = [
         max(hand["contact"], default=0.0)
         for hand in hands.values()
@@ -87,7 +88,7 @@ def contact_level(hands: Mapping[str, Any]) -> str:
 
 
 def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
-    """The current take, or the last one with its quality; empty before the first take.
+    """The current recording (take), or the last one with its quality; empty before the first one.
 
     Args:
         state: result of ``Takes.state``.
@@ -117,7 +118,7 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
 
 
 def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
-    """Legend of the picture.
+    """Legend of the picture's colours and marks.
 
     Args:
         fingers: fingers of the robot hand, thumb first.
@@ -149,7 +150,7 @@ def _rates(rates: Mapping[str, float | None]) -> str:
 
 
 def trial(state: Mapping[str, Any] | None) -> str:
-    """Task, number, clock and signal of the trial from ``TaskTrials.shown``; empty without a
+    """Task, number, clock and signal of the trial, from ``TaskTrials.shown``; empty without a
     task."""
     return "" if state is None else str(_macros().trial(state, *_phase(state)))
 

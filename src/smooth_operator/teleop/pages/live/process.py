@@ -1,4 +1,4 @@
-"""Main program of the live page's process; the loop's process starts it."""
+"""Main program of the live page's process, which the loop's process starts."""
 
 from __future__ import annotations
 

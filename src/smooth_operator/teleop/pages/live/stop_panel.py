@@ -1,4 +1,4 @@
-"""Emergency stop of the live page: buttons, keys, and a warning when it does not work.
+"""Emergency stop of the live page: buttons, keys, and a warning when the stop can't work.
 
 It needs nothing but viser, so it is on the page before the hand has been read.
 """
@@ -25,7 +25,7 @@ _NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
 
 
 class StopPanel:
-    """Emergency stop buttons and keys; placed above all later elements of a page.
+    """Emergency stop buttons and keys, placed above all later elements of the page.
 
     Args:
         server: server of the page.
@@ -71,7 +71,7 @@ class StopPanel:
             server.front.scripts.append(script.replace("ALIVE_PATH", ALIVE_PATH))
 
     def show(self, stopped: bool) -> None:
-        """Shows whether an emergency stop holds the robot."""
+        """Shows whether an emergency stop is holding the robot."""
         self._alone = False
         self._show(stopped)
 

@@ -1,1 +1,1 @@
-"""Sources that track bare hands in a camera's pictures or a video file, with MediaPipe."""
+"""Sources that track bare hands in camera pictures or in a video file, with MediaPipe."""

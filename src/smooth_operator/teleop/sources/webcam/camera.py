@@ -27,7 +27,7 @@ _FAILURES: Final[list[str]] = []  # the error of this process's first import of 
 
 
 def opencv() -> Any:
-    """Imports OpenCV and returns its module.
+    """Imports and returns OpenCV's module.
 
     Raises:
         MissingExtraError: it is not installed.
@@ -78,7 +78,7 @@ class Picture:
 
 
 class Camera:
-    """A camera and the thread that reads its pictures, so that none waits in a queue.
+    """A camera, and the thread that reads its pictures so that none waits in a queue.
 
     Args:
         open: function that opens the camera, or opens it again, such as ``open_camera``. Its
@@ -105,7 +105,7 @@ class Camera:
         self._thread.start()
 
     def newest(self, timeout: float) -> Picture | None:
-        """Takes the newest picture; None if no picture arrives within a timeout [s]."""
+        """Takes the newest picture; None if no picture arrives within the timeout [s]."""
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)
             picture, self._newest = self._newest, None

@@ -1,4 +1,4 @@
-"""Tracks hands in the pictures of cameras and videos with MediaPipe."""
+"""Tracks hands in the pictures of cameras and videos, with MediaPipe."""
 
 from __future__ import annotations
 
@@ -89,8 +89,8 @@ class PictureTracker:
         self._tracks: Mapping[Side, Track] = {}
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
-        """Finds the hands in a picture, at most one of each side; ``time`` [s] becomes their stamp.
-        SourceError if MediaPipe failed."""
+        """Finds the hands in a picture, at most one of each side; ``time`` [s] becomes their
+        timestamp. SourceError if MediaPipe failed."""
         height, width = pixels.shape[:2]
         return [
             self._frame(side, hand, time, height / width)
@@ -98,7 +98,7 @@ class PictureTracker:
         ]
 
     def hands(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> dict[Side, SeenHand]:
-        """Finds the hands as ``frames``, with their places in the picture."""
+        """Finds the hands as ``frames`` does, with their positions in the picture."""
         colours = self._cv2.cvtColor(pixels, self._cv2.COLOR_BGR2RGB)
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
         detections = self._landmarker.find(turned, time)
@@ -178,7 +178,7 @@ _TINY: Final = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SeenHand:
-    """A detected hand in a picture.
+    """A hand that was detected in a picture.
 
     Attributes:
         label: side according to the tracker.
@@ -204,13 +204,13 @@ class SeenHand:
 
     @property
     def size(self) -> float:
-        """Length of the palm in the picture, including depth, in case the palm is seen edge-on."""
+        """Length of the palm in the picture; depth counts too, in case the palm is seen edge-on."""
         return float(np.linalg.norm(self.picture[BASES[2]] - self.picture[WRIST]))
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Last known position of a hand in the pictures.
+    """Last known position of a hand in a sequence of pictures.
 
     Attributes:
         centre: (2,) centre of the palm in the picture.
@@ -226,7 +226,7 @@ class Track:
 def assign_sides(
     detections: Iterable[SeenHand], tracks: Mapping[Side, Track], time: float
 ) -> tuple[dict[Side, SeenHand], dict[Side, Track]]:
-    """Assigns sides to the hands of a picture.
+    """Decides the side of each hand in a picture.
 
     Args:
         tracks: last known position of each hand; empty at the start.
@@ -282,7 +282,7 @@ _stderr = threading.Lock()
 
 
 class HandLandmarker:
-    """MediaPipe's hand landmarker for a stream of pictures; one thread at a time may use it.
+    """MediaPipe's hand landmarker for a stream of pictures. One thread at a time may use it.
 
     Args:
         model: the ``.task`` file.
@@ -423,7 +423,7 @@ Progress: TypeAlias = Callable[[int, int | None], None]
 
 
 def model_cache() -> Path:
-    """Path of the downloaded model, which may not exist."""
+    """Path of the downloaded model, which may not exist yet."""
     return user_cache() / "models" / "hand_landmarker.task"
 
 
@@ -434,7 +434,7 @@ def hand_model(
     sha256: str = MODEL_SHA256,
     progress: Progress | None = None,
 ) -> Path:
-    """Path of the model: the user's file, the file that ``SWITCH`` names, or the published one.
+    """Path of the model: the user's file, the file that ``SWITCH`` names, or the published file.
 
     A damaged file in the cache is downloaded again.
 

@@ -1,4 +1,4 @@
-"""The sources ``webcam`` and ``video``, which track bare hands with a camera or in a video."""
+"""The sources ``webcam`` and ``video``, which track bare hands with a camera or in a video file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class _Pictures(PictureConfig, ThreadedSource):
 
 @dataclass(frozen=True)
 class Webcam(_Pictures):
-    """Source that tracks hands with a camera. Further settings are those of ``PictureConfig``.
+    """Source that tracks hands with a camera; see ``PictureConfig`` for further settings.
 
     A frame's stamp is the time when its picture was read, by the loop's clock. The frame counts as
     received when its hand has been detected.
@@ -77,7 +77,7 @@ class Webcam(_Pictures):
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
         return f"camera {self.camera}"
 
     def capture(self) -> Capture:
@@ -89,7 +89,7 @@ class Webcam(_Pictures):
         return tracker.frames(picture.pixels, picture.time)
 
     def open(self) -> None:
-        """Loads the model and opens the camera; errors reach the caller."""
+        """Loads the model and opens the camera. The caller receives the errors."""
         tracker = PictureTracker(self)
         try:
             camera = Camera(self.capture, self.camera)
@@ -99,7 +99,7 @@ class Webcam(_Pictures):
         self._hold(camera, tracker)
 
     def run(self, running: Running) -> None:
-        """Posts the hands of the newest picture, repeatedly."""
+        """Finds the hands in the newest picture and posts them, repeatedly."""
         camera, tracker = self.__dict__.pop("_opened")
         with contextlib.closing(tracker), contextlib.closing(camera):
             while not running.stopping.is_set():
@@ -117,7 +117,7 @@ class Webcam(_Pictures):
 
 @dataclass(frozen=True)
 class Video(_Pictures):
-    """Source that tracks hands in a video file. Further settings are those of ``PictureConfig``.
+    """Source that tracks hands in a video file; see ``PictureConfig`` for further settings.
 
     A frame's stamp is the time of its picture in the video. If the tracker is too slow, pictures
     are skipped, as with a camera.
@@ -141,11 +141,11 @@ class Video(_Pictures):
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
         return f"video {self.path.name}"
 
     def open(self) -> None:
-        """Opens the file and loads the model; errors reach the caller."""
+        """Opens the file and loads the model. The caller receives the errors."""
         video = VideoFile(self.path)
         try:
             tracker = PictureTracker(self)
@@ -155,7 +155,7 @@ class Video(_Pictures):
         self._hold(video, tracker)
 
     def run(self, running: Running) -> None:
-        """Posts the hands of each picture when it is due."""
+        """Posts the hands of each picture when the picture is due."""
         video, tracker = self.__dict__.pop("_opened")
         with contextlib.closing(tracker):
             session, counts = 0, Counter[str]()

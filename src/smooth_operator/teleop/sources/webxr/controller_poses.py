@@ -1,4 +1,5 @@
-"""Poses of a human hand for the controllers of a headset: power grasp, pinch and tripod."""
+"""Poses of a human hand that stand for the controllers of a headset: power grasp, pinch and
+tripod."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ the synthetic right hand (x palmar, y to the thumb, z distal)."""
 
 
 def controller_poses() -> dict[str, Any]:
-    """Poses of a right hand in the frame of WebXR's wrist joint, as JSON values.
+    """Poses of a right hand, in the frame of WebXR's wrist joint, as JSON values.
 
     Returns:
         ``grip``: the middle of the curled fingers, which is the origin of the grip space of a

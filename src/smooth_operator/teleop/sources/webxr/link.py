@@ -1,4 +1,4 @@
-"""Protocol of the WebSocket between the headset's page and this program: pairing, hands, state.
+"""Protocol of the WebSocket between the headset's page and this program: pairing, hands and state.
 
 Text messages are JSON objects with a ``type``; hands are binary (``.packet``).
 
@@ -115,17 +115,18 @@ class LinkState:
 
 
 class View(Protocol):
-    """What the page draws around the operator."""
+    """What the headset's page draws around the operator."""
 
     def look(self, number: object) -> Mapping[str, Any]:
-        """Returns the message ``view`` for a page that has the shapes with a number."""
+        """Returns the message ``view`` for a page whose shapes have this number."""
 
     def picture(self, camera: object) -> bytes | None:
-        """Returns the newest picture of a camera, after its ``PICTURE``; None without one."""
+        """Returns the newest picture of a camera with its ``PICTURE`` header; None if there is
+        none."""
 
 
 class Link:
-    """Connection to a headset; a newer connection replaces it.
+    """Connection to a headset. A newer connection replaces it.
 
     Attributes:
         view: what the page draws; None for the operator's hands alone.
@@ -150,11 +151,11 @@ class Link:
 
     @property
     def state(self) -> LinkState:
-        """A copy of the state of the link; safe from any thread."""
+        """Copy of the link's state; safe from any thread."""
         return replace(self._state, refused=self._pairing.refused, rate_hz=self._rate())
 
     def pulse(self, side: Side, strength: float, seconds: float) -> None:
-        """Send a pulse for the controllers of a side; safe from any thread.
+        """Sends a pulse to the controllers of a side; safe from any thread.
 
         Without a headset, or while it has not yet taken the previous pulse, nothing is sent.
         """
@@ -166,7 +167,7 @@ class Link:
         self._pulse = asyncio.run_coroutine_threadsafe(sending, loop)
 
     async def serve(self, connection: ServerConnection) -> None:
-        """Serves one page until it leaves or is closed."""
+        """Serves one page until it disconnects or is closed."""
         from websockets.exceptions import ConnectionClosed
 
         self._loop = asyncio.get_running_loop()
@@ -368,7 +369,7 @@ class Packet:
 
 
 def read_packet(message: bytes) -> Packet:
-    """Reads a message of the page; raises RecordingError if it is not valid."""
+    """Reads a message from the page; RecordingError if it is not valid."""
     if len(message) < HEADER.size or message[:4] != MAGIC:
         raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
     _, number, stamp, hands, space = HEADER.unpack_from(message)
@@ -423,7 +424,7 @@ then takes eleven days."""
 
 
 class Pairing:
-    """Checks pairing codes, and limits the number of wrong ones.
+    """Checks pairing codes, and limits the number of wrong codes.
 
     Args:
         code: letters and digits; None for six random digits.
@@ -442,11 +443,11 @@ class Pairing:
 
     @property
     def spoken(self) -> str:
-        """The code in groups of three characters, for display."""
+        """The code for display, in groups of three characters."""
         return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
 
     def check(self, code: str, address: str) -> Verdict:
-        """Checks a client's code, and the number of wrong codes from its address."""
+        """Checks the code that a client sent; limits the wrong codes that its address may send."""
         now = self._clock()
         while self._wrong and now - self._wrong[0][0] > WINDOW:
             self._wrong.popleft()
@@ -469,5 +470,5 @@ def check_code(code: str) -> None:
 
 
 def plain(code: str) -> str:
-    """A code without spaces and dashes."""
+    """Removes spaces and dashes from a code."""
     return "".join(code.split()).replace("-", "").lower()

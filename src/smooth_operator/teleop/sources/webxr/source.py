@@ -1,4 +1,4 @@
-"""The source ``webxr``, which receives hands from a headset's browser.
+"""The source ``webxr``, which receives hands from the browser of a headset.
 
 The page and its WebSocket share one port.
 """
@@ -73,7 +73,8 @@ async def serve(
     link: Link,
     watch: Callable[[], bool],
 ) -> None:
-    """Serves the page and the link until ``watch``, called 20 times a second, returns False."""
+    """Serves the page and the link until ``watch``, which is called 20 times a second, returns
+    False."""
     from websockets.asyncio.server import serve as serve_sockets
 
     site = page_files("smooth_operator.web") | page_files(__package__)
@@ -137,7 +138,7 @@ class Certificate:
 
 
 def certificate_folder() -> Path | None:
-    """Folder in which certificates are stored; None if ``SWITCH`` turns storing off."""
+    """Folder in which certificates are stored; None if ``SWITCH`` disables storing them."""
     if is_off():
         return None
     return user_cache() / "webxr"
@@ -146,7 +147,7 @@ def certificate_folder() -> Path | None:
 def get_certificate(
     names: Sequence[str], folder: Path | None, now: datetime.datetime | None = None
 ) -> Certificate:
-    """Returns a certificate for some names: the stored one, or a new one.
+    """Returns a certificate for some host names: the stored one, or a new one.
 
     Each set of names has its own file, so that a laptop can alternate between two networks.
 
@@ -292,7 +293,7 @@ def _name(name: str, parse: Callable[[str], Any] = ipaddress.ip_address) -> x509
 
 @dataclass(frozen=True)
 class WebXr(ThreadedSource):
-    """Both hands from a headset's browser: Quest, Vision Pro, PICO.
+    """Source of both hands from a headset's browser: Quest, Vision Pro, PICO.
 
     Serves a page over HTTPS, which sends the 25 joints of each hand after pairing with a code.
     Stamps are by the headset's clock; ``link`` contains the offset to this machine's clock. A new
@@ -324,7 +325,7 @@ class WebXr(ThreadedSource):
 
     @property
     def addresses(self) -> tuple[str, ...]:
-        """Addresses of the page; the first one is the one to type. Empty before ``start``."""
+        """Addresses of the page, best one first. Empty before ``start``."""
         opened: _Opened | None = getattr(self, "_opened", None)
         return () if opened is None else opened.addresses
 
@@ -335,11 +336,11 @@ class WebXr(ThreadedSource):
         return LinkState() if link is None else link.state
 
     def expect_pulses(self) -> None:
-        """Let the page prepare the controllers for ``pulse``; call this before ``start``."""
+        """Makes the page prepare the controllers for ``pulse``; call this before ``start``."""
         object.__setattr__(self, "_pulses", True)
 
     def pulse(self, side: Side, strength: float, seconds: float) -> None:
-        """Let the headset's controllers vibrate; safe from any thread.
+        """Makes the headset's controllers vibrate; safe from any thread.
 
         Args:
             side: side of the controllers.
@@ -351,7 +352,7 @@ class WebXr(ThreadedSource):
             link.pulse(side, strength, seconds)
 
     def show(self, view: View | None) -> None:
-        """Let the page draw a robot around the operator; None for the operator's hands alone."""
+        """Makes the page draw a robot around the operator; None shows only the operator's hands."""
         object.__setattr__(self, "_view", view)
         link: Link | None = getattr(self, "_link", None)
         if link is not None:
@@ -386,7 +387,7 @@ class WebXr(ThreadedSource):
         object.__setattr__(self, "_opened", opened)
 
     def run(self, running: Running) -> None:
-        """Serves the page until the end."""
+        """Serves the page until the source is stopped."""
         opened: _Opened = getattr(self, "_opened")  # noqa: B009  (set by open)
         link = Link(running.mailbox, opened.pairing, getattr(self, "_pulses", False))
         object.__setattr__(self, "_link", link)
@@ -412,7 +413,7 @@ class _Opened:
 
 
 def describe(link: LinkState, addresses: tuple[str, ...], pairing: Pairing) -> SourceHealth:
-    """Describes the state of the link in a sentence."""
+    """Describes the state of the link in one sentence."""
     faults = [
         text
         for count, text in (
