@@ -416,10 +416,8 @@ def test_settings_of_an_arm_are_read_and_checked(tmp_path):
             read_arm(text).spec  # noqa: B018
 
 
-@pytest.mark.parametrize(
-    ("arm", "task"),
-    [("xarm7", "cube"), pytest.param("ur5e", "screwdriver", marks=pytest.mark.weekly)],
-)
+@pytest.mark.weekly
+@pytest.mark.parametrize(("arm", "task"), [("xarm7", "cube"), ("ur5e", "screwdriver")])
 def test_a_task_of_the_study_is_done_with_an_arm(arm, task):
     path = Path(__file__).parents[1] / "research" / "benchmarks" / "arm_tasks.py"
     trial = runpy.run_path(str(path))["trial"](task, "mimic_p050", arm, 0, 1)

@@ -33,10 +33,10 @@ class Stepped:
 
     def to(self, positions: np.ndarray) -> None:
         """The hand is there, and stays."""
-        names = [self.physics.model.joint(f"hand/{n}").qposadr[0] for n in self.hand.joint_names]
-        self.physics.data.qpos[names] = positions
-        self.physics.data.qvel[:] = 0.0
-        mujoco.mj_forward(self.physics.model, self.physics.data)
+        model, data = self.physics.model, self.physics.data
+        data.qpos[[model.joint(f"hand/{n}").qposadr[0] for n in self.hand.joint_names]] = positions
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(model, data)
         self.physics.command(positions)
 
     def run(self, seconds: float) -> None:

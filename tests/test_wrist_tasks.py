@@ -27,12 +27,9 @@ def on_free_wrist(name: str, **options) -> ScenePhysics:
 
 
 def wrist_of(physics: ScenePhysics) -> np.ndarray:
-    hand = physics.hand
-    palm = physics.data.body(FURNISHED + hand.spec.palm)
-    pose = pose_of(np.eye(4))
-    pose[:3] = palm.xpos
-    pose[3:] = palm.xquat
-    return pose_of(matrix_of(pose) @ HandMount(hand).palm_to_wrist)
+    palm = physics.data.body(FURNISHED + physics.hand.spec.palm)
+    pose = np.concatenate([palm.xpos, palm.xquat])
+    return pose_of(matrix_of(pose) @ HandMount(physics.hand).palm_to_wrist)
 
 
 @pytest.mark.parametrize("name", HANDS)

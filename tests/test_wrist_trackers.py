@@ -153,9 +153,6 @@ def test_the_command_asks_for_the_motions_and_adds_the_place(tmp_path, monkeypat
     assert angle < 1e-2
     assert main([*command, "--source", "synthetic"]) == 2
     assert "can't be combined with" in capsys.readouterr().err
-
-
-def test_a_mount_must_be_a_pose():
     with pytest.raises(ConfigError, match="mount of the left hand must be x y z and a unit quat"):
         OperatorProfile("right", mounts={"left": (0.0,) * 7})
 
