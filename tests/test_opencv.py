@@ -1,15 +1,12 @@
 """An OpenCV that is installed and can't be loaded."""
 
-import json
-import os
 import sys
 from unittest.mock import MagicMock
 
 import pytest
-from processes import python
 
 from smooth_operator.errors import SourceError
-from smooth_operator.teleop.sources.webcam import picture_tracker
+from smooth_operator.teleop.sources.webcam import camera, picture_tracker
 
 LOADER = """
 import os, sys
@@ -22,39 +19,29 @@ raise ImportError("libGL.so.1: cannot open shared object file: No such file or d
 """
 """What the loader of OpenCV 5.1 does where a library of the system is missing."""
 
-PROGRAM = """
-import json, sys
-from smooth_operator.errors import SourceError
-from smooth_operator.teleop.sources.webcam.camera import opencv
-before, texts = list(sys.path), []
-for _ in range(2):
-    try:
-        opencv()
-    except SourceError as error:
-        texts.append(str(error))
-try:
-    import cv2  # as another library does
-except ImportError as error:
-    texts.append(type(error).__name__)
-modules = [name for name, module in sys.modules.items() if name.startswith("cv2") and module]
-print(json.dumps([sys.path == before, modules, texts]))
-"""
 
-
-def test_a_failed_import_of_opencv_names_the_packages_of_the_system(tmp_path):
+def test_a_failed_import_of_opencv_names_the_packages_of_the_system(monkeypatch, tmp_path):
+    monkeypatch.setattr(camera, "_FAILURES", [])
     (tmp_path / "cv2").mkdir()
     (tmp_path / "cv2" / "__init__.py").write_text(LOADER)
-    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = python("-c", PROGRAM, env={**os.environ, "PYTHONPATH": path}, check=True)
-    restored, modules, texts = json.loads(done.stdout)
-    assert restored
-    assert modules == []
-    first, second, third = texts
-    assert first == second
-    assert third == "ImportError"
-    assert "libGL.so.1" in first
+    for name in {"cv2", *(name for name in sys.modules if name.startswith("cv2."))}:
+        monkeypatch.setitem(sys.modules, name, None)  # so that it is restored
+        del sys.modules[name]
+    monkeypatch.setattr(sys, "OpenCV_LOADER", True, raising=False)
+    del sys.OpenCV_LOADER
+    monkeypatch.syspath_prepend(tmp_path)
+    path, texts = list(sys.path), []
+    for _ in range(2):
+        with pytest.raises(SourceError, match=r"libGL\.so\.1") as caught:
+            camera.opencv()
+        texts.append(str(caught.value))
+    assert texts[0] == texts[1]
     if sys.platform.startswith("linux"):
-        assert "apt install libgl1 libglib2.0-0 libxcb1" in first
+        assert "apt install libgl1 libglib2.0-0 libxcb1" in texts[0]
+    assert sys.path == path
+    assert not [name for name, module in sys.modules.items() if name.startswith("cv2") and module]
+    with pytest.raises(ImportError):
+        import cv2  # noqa: F401  (as another library does)
 
 
 def test_mediapipe_without_a_library_of_the_system_names_the_packages(monkeypatch, tmp_path):
