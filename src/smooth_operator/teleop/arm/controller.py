@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import mink
@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.settings import check_numbers
 from smooth_operator.simulation.arms.arm import (
     BASE,
     FLANGE,
@@ -62,29 +61,23 @@ _TINY: Final = 1e-9
 _SITE, _TABLE, _WALL = "target", "table", "wall"
 
 
-@dataclass(frozen=True)
-class ClearanceConfig:
-    """Minimum distances between parts of the robot, and between robot and surroundings.
+_PARTS_M: Final = 0.02
+"""Smallest distance between parts of the arm, and between arm and hand [m]."""
 
-    Attributes:
-        parts: smallest distance between parts of the arm, and between arm and hand [m].
-        table: smallest distance between the table and the arm or the palm [m].
-        fingers: smallest distance between the table and the fingers, which may touch it [m].
-        wall: smallest distance between the wall and any part [m].
-        horizon: distance beyond which pairs are not limited [m].
-        approach: maximum closing speed of a pair per metre of remaining clearance [1/s].
-    """
+_TABLE_M: Final = 0.02
+"""Smallest distance between the table and the arm or the palm [m]."""
 
-    parts: float = 0.02
-    table: float = 0.02
-    fingers: float = 0.0
-    wall: float = 0.02
-    horizon: float = 0.3
-    approach: float = 4.0
+_FINGERS_M: Final = 0.0
+"""Smallest distance between the table and the fingers, which may touch it [m]."""
 
-    def __post_init__(self) -> None:
-        distances = ("parts", "table", "fingers", "wall", "horizon")
-        check_numbers(self, "arm: ", positive=("approach",), not_negative=distances)
+_WALL_M: Final = 0.02
+"""Smallest distance between the wall and any part [m]."""
+
+_HORIZON_M: Final = 0.3
+"""Distance beyond which pairs are not limited [m]."""
+
+_CLOSING: Final = 4.0
+"""Maximum closing speed of a pair per metre of remaining clearance [1/s]."""
 
 
 class Clearance(mink.CollisionAvoidanceLimit):
@@ -98,33 +91,27 @@ class Clearance(mink.CollisionAvoidanceLimit):
         arm: the arm; its base frame is the world.
         model: model from ``_arm_model``.
         fingers: (g,) mask of the model's geoms that the hand's joints move.
-        config: the distances.
 
     Attributes:
         nearest: smallest distance at the last step [m], except that of fingers and table; infinite
-            if nothing is within ``ClearanceConfig.horizon``.
+            if nothing is near.
         low: (n,) lowest velocity of the joints in the next step [rad/s].
         high: (n,) highest velocity of the joints in the next step [rad/s].
     """
 
     def __init__(
-        self,
-        arm: ArmSpec,
-        model: mujoco.MjModel,
-        fingers: Bool[np.ndarray, " g"],
-        config: ClearanceConfig,
+        self, arm: ArmSpec, model: mujoco.MjModel, fingers: Bool[np.ndarray, " g"]
     ) -> None:
-        self.config = config
         self.nearest = np.inf
         self.low = self.high = np.zeros(len(arm.links))
         self._arm = arm
         super().__init__(
             model,
-            [([int(a)], [int(b)]) for a, b in _close_pairs(arm, model, config)],
+            [([int(a)], [int(b)]) for a, b in _close_pairs(arm, model)],
             gain=1.0,
             # Far below every distance, so that a bound is a distance, also inside each other.
             minimum_distance_from_collisions=-_DEEP,
-            collision_detection_distance=config.horizon,
+            collision_detection_distance=_HORIZON_M,
         )
         pairs = np.array(self.geom_id_pairs, int).reshape(-1, 2)
         names = [model.geom(geom).name for geom in range(model.ngeom)]
@@ -134,7 +121,7 @@ class Clearance(mink.CollisionAvoidanceLimit):
         )
         self._touches = np.array(table, bool) & fingers[pairs].any(axis=1)
         self._least = np.select(
-            [self._touches, table, wall], [config.fingers, config.table, config.wall], config.parts
+            [self._touches, table, wall], [_FINGERS_M, _TABLE_M, _WALL_M], _PARTS_M
         )
 
     def compute_qp_inequalities(
@@ -156,18 +143,14 @@ class Clearance(mink.CollisionAvoidanceLimit):
         rows = rows[near]
         room = np.maximum(spare, 0.0)
         braking = _BRAKING * (np.abs(rows) @ self._arm.acceleration)
-        bound = dt * np.minimum(
-            min(self.config.approach, 0.5 / dt) * room, np.sqrt(2.0 * braking * room)
-        )
+        bound = dt * np.minimum(min(_CLOSING, 0.5 / dt) * room, np.sqrt(2.0 * braking * room))
         # If no velocity within the joints' bounds keeps a distance, the arm brakes at its limits.
         least = np.minimum(rows * self.low, rows * self.high).sum(axis=1) * dt
         most = np.maximum(rows * self.low, rows * self.high).sum(axis=1) * dt
         return mink.limits.Constraint(G=rows, h=np.maximum(bound, least + _LEEWAY * (most - least)))
 
 
-def _close_pairs(
-    arm: ArmSpec, model: mujoco.MjModel, config: ClearanceConfig
-) -> Int[np.ndarray, "p 2"]:
+def _close_pairs(arm: ArmSpec, model: mujoco.MjModel) -> Int[np.ndarray, "p 2"]:
     """Pairs of geoms that can come near each other within the joints' limits.
 
     Excludes pairs that touch at rest, pairs of links that share a joint, and the table with the
@@ -190,10 +173,10 @@ def _close_pairs(
         first, second = np.sort(data.contact.geom, axis=1).T
         np.minimum.at(least, (first, second), data.contact.dist)
         if number == 0:
-            touching = least < config.parts
+            touching = least < _PARTS_M
     first, second = np.triu_indices(model.ngeom, 1)
     apart, plane = np.abs(level[first] - level[second]), planes[first] | planes[second]
-    meet = (least[first, second] < 2 * config.parts) & ~touching[first, second] & ~plane
+    meet = (least[first, second] < 2 * _PARTS_M) & ~touching[first, second] & ~plane
     # One link and the next are shaped not to collide; the three axes of a wrist meet.
     meet &= (apart >= 2) & ~((level[first] >= joints - 2) & (level[second] >= joints - 2))
     # The joint limits keep links apart that are two joints from each other. Their capsules are
@@ -216,7 +199,6 @@ def _arm_model(
     capsules: HandCapsules,
     table: float | None,
     wall: float | None,
-    config: ClearanceConfig,
 ) -> mujoco.MjModel:
     """Model of an arm with the site ``_SITE``, table and wall; the hand's capsules come last."""
     spec = arm_spec(arm)
@@ -239,7 +221,7 @@ def _arm_model(
         _add_plane(spec, _WALL, (0.0, wall, 0.0), (0.0, -np.sign(wall), 0.0))
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 1
-        geom.margin = 2 * config.parts
+        geom.margin = 2 * _PARTS_M
     model = spec.compile()
     model.geom_sameframe[model.ngeom - len(capsules) :] = 0  # capsules move in the flange's frame
     return model
@@ -278,65 +260,35 @@ _HOME_NEAR: Final = (1e-3, 5e-3)
 """Distance at which the home pose counts as reached [m, rad]."""
 
 
-@dataclass(frozen=True)
-class ArmControlConfig:
-    """Settings of an arm controller.
+_SPEED: Final = 1.0
+_TURN: Final = 3.0
+"""Velocity limits of the wrist [m/s] and [rad/s]."""
 
-    Attributes:
-        speed: velocity limit of the wrist [m/s].
-        turn: angular velocity limit of the wrist [rad/s].
-        acceleration: acceleration with which the wrist stops at its target [m/s^2].
-        turn_acceleration: angular acceleration with which it stops [rad/s^2].
-        velocity_share: fraction of the vendor's joint velocity limits that is used.
-        joint_speed: velocity limit of every joint [rad/s], above which an arm can't stop in time.
-        margin: distance to keep from each end of a joint's range [rad].
-        orientation: weight of 1 rad of rotation error against 1 m.
-        posture: weight of 1 rad from the arm's preferred posture against 1 m.
-        soft_orientation: ``orientation`` for arms with fewer than six joints, which can't reach
-            every orientation: the position then comes first.
-        soft_posture: ``posture`` for these arms.
-        damping: largest damping near a singular pose [m].
-        singular: smallest singular value of the Jacobian without damping [m/rad].
-        collisions: True to avoid collisions between parts.
-        clearance: distances between parts.
-    """
+_ACCELERATION: Final = 3.0
+_TURN_ACCELERATION: Final = 10.0
+"""Accelerations with which the wrist stops at its target [m/s^2] and [rad/s^2]."""
 
-    speed: float = 1.0
-    turn: float = 3.0
-    acceleration: float = 3.0
-    turn_acceleration: float = 10.0
-    velocity_share: float = 0.9
-    joint_speed: float = 2.0
-    margin: float = 0.02
-    orientation: float = 0.15
-    posture: float = 0.03
-    soft_orientation: float = 0.03
-    soft_posture: float = 0.005
-    damping: float = 0.08
-    singular: float = 0.04
-    collisions: bool = True
-    clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
+_VELOCITY_SHARE: Final = 0.9
+"""Fraction of the vendor's joint velocity limits that is used."""
 
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            "arm: ",
-            positive=(
-                "speed",
-                "turn",
-                "acceleration",
-                "turn_acceleration",
-                "joint_speed",
-                "orientation",
-                "soft_orientation",
-                "singular",
-            ),
-            not_negative=("margin", "posture", "soft_posture", "damping"),
-        )
-        if not 0 < self.velocity_share <= 1:
-            raise ConfigError(
-                f"arm: velocity_share must be above 0 and up to 1, not {self.velocity_share}"
-            )
+_JOINT_SPEED: Final = 2.0
+"""Velocity limit of every joint [rad/s], above which an arm can't stop in time."""
+
+_MARGIN: Final = 0.02
+"""Distance to keep from each end of a joint's range [rad]."""
+
+_WEIGHTS: Final = (0.15, 0.03)
+"""Weights of 1 rad of rotation error, and of 1 rad from the preferred posture, against 1 m."""
+
+_SOFT_WEIGHTS: Final = (0.03, 0.005)
+"""``_WEIGHTS`` for arms with fewer than six joints, which can't reach every orientation: the
+position then comes first."""
+
+_DAMPING: Final = 0.08
+"""Largest damping near a singular pose [m]."""
+
+_SINGULAR: Final = 0.04
+"""Smallest singular value of the Jacobian without damping [m/rad]."""
 
 
 class ArmController:
@@ -355,9 +307,9 @@ class ArmController:
     Args:
         arm: the arm.
         mount: the hand on the arm's flange.
-        config: settings of the controller.
         table: height of the table in the base frame [m]; None without a table.
         wall: y of a wall in the base frame that the arm does not cross [m]; None without a wall.
+        collisions: True to avoid collisions between parts.
 
     Attributes:
         limiter: limiter with the last command.
@@ -370,32 +322,28 @@ class ArmController:
         self,
         arm: ArmSpec,
         mount: HandMount,
-        config: ArmControlConfig | None = None,
         *,
         table: float | None = 0.0,
         wall: float | None = None,
+        collisions: bool = True,
     ) -> None:
-        self.arm, self.mount = arm, mount
-        self.config = ArmControlConfig() if config is None else config
+        self.arm, self.mount, self._collisions = arm, mount, collisions
         self._soft = len(arm.links) < 6
         self._to_site = mount.wrist_to_pinch if self._soft else np.eye(4)
         self._capsules = HandCapsules(mount)
-        distances = self.config.clearance
         site = mount.flange_to_wrist @ self._to_site
-        self.model = _arm_model(arm, mount, site, self._capsules, table, wall, distances)
+        self.model = _arm_model(arm, mount, site, self._capsules, table, wall)
         nominal = np.array(arm.nominal)
         self._configuration = mink.Configuration(self.model, nominal)
         self._site = self.model.site(_SITE).id
         self._hand_geoms = slice(self.model.ngeom - len(self._capsules), None)
         fingers = np.zeros(self.model.ngeom, bool)
         fingers[self._hand_geoms] = self._capsules.fingers
-        self._clearance = Clearance(arm, self.model, fingers, distances)
-        values = self.config
-        self._orientation = values.soft_orientation if self._soft else values.orientation
+        self._clearance = Clearance(arm, self.model, fingers)
+        self._orientation, posture = _SOFT_WEIGHTS if self._soft else _WEIGHTS
         self._task = mink.FrameTask(
             _SITE, "site", position_cost=1.0, orientation_cost=self._orientation
         )
-        posture = values.soft_posture if self._soft else values.posture
         self._posture = mink.PostureTask(self.model, cost=posture, gain=0.02)
         self._posture.set_target(nominal)
         self._box = _Box(self.model.nv)
@@ -414,12 +362,6 @@ class ArmController:
     def pose(self) -> Float[np.ndarray, "7"]:
         """(7,) pose of the hand's wrist at the last command, in the base frame."""
         return pose_of(self._at_site() @ inverse(self._to_site))
-
-    @property
-    def clearance(self) -> float:
-        """Smallest distance between parts, or from a part to table or wall, at the last step
-        [m]."""
-        return self._clearance.nearest
 
     def wrist_at(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, "7"]:
         """Pose of the hand's wrist in the base frame.
@@ -506,7 +448,7 @@ class ArmController:
         self._box.low, self._box.high = low, high
         self._clearance.low, self._clearance.high = low, high
         limits: list[mink.Limit] = [self._box]
-        if self.config.collisions:
+        if self._collisions:
             limits.append(self._clearance)
         try:
             velocity = mink.solve_ik(
@@ -527,7 +469,6 @@ class ArmController:
         It is the target's own motion, plus as much of the remaining distance as lets the wrist stop
         at the target.
         """
-        config = self.config
         if self._before is not None:
             moved = _difference(self._before, goal) / dt
             if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:]) / 3.0) > _JUMP:
@@ -539,8 +480,8 @@ class ArmController:
         error = _difference(now, goal)
         return np.concatenate(
             [
-                _approach(error[:3], self._twist[:3], dt, config.acceleration, config.speed),
-                _approach(error[3:], self._twist[3:], dt, config.turn_acceleration, config.turn),
+                _approach(error[:3], self._twist[:3], dt, _ACCELERATION, _SPEED),
+                _approach(error[3:], self._twist[3:], dt, _TURN_ACCELERATION, _TURN),
             ]
         )
 
@@ -550,17 +491,16 @@ class ArmController:
         scaled = jacobian[:3] if self._soft else jacobian.copy()
         scaled[3:] *= self._orientation
         least = np.sqrt(max(float(np.linalg.eigvalsh(scaled @ scaled.T)[0]), 0.0))
-        share = max(0.0, 1.0 - least / self.config.singular)
-        return 1e-6 + float(share * self.config.damping) ** 2
+        share = max(0.0, 1.0 - least / _SINGULAR)
+        return 1e-6 + float(share * _DAMPING) ** 2
 
     def _at_site(self) -> Matrix:
         data = self._configuration.data
         return rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site])
 
     def _limiter(self, start: Float[np.ndarray, " n"]) -> JointLimiter:
-        arm, config = self.arm, self.config
-        velocity = np.minimum(config.velocity_share * arm.velocity, config.joint_speed)
-        return JointLimiter(arm.limits, velocity, arm.acceleration, start, config.margin)
+        velocity = np.minimum(_VELOCITY_SHARE * self.arm.velocity, _JOINT_SPEED)
+        return JointLimiter(self.arm.limits, velocity, self.arm.acceleration, start, _MARGIN)
 
     def _go_home(self, place: Point) -> Float[np.ndarray, " n"]:
         """Joint positions of the home pose, reached from the nominal posture by normal steps.
@@ -647,9 +587,9 @@ def build_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, 
         controller = ArmController(
             carried.arm,
             carried.mount,
-            ArmControlConfig(collisions=settings.collisions),
             table=None if settings.no_table else settings.table,
             wall=-float(carried.base[1, 3]) if len(hands) > 1 else None,
+            collisions=settings.collisions,
         )
         built[side] = ArmOfHand(replace(carried, home=controller.home), controller)
     return built
