@@ -142,7 +142,7 @@ def test_left_hands_as_right_ones():
 
 def test_a_solver_on_the_host_takes_recordings_in_turn():
     retargeter = BatchRetargeter(method="keyvector")
-    recordings = damaged()[:2]
+    recordings = [hand(8, 0), hand(3, 1)]
     for recording, (commands, loss) in zip(recordings, retargeter.batch(recordings), strict=True):
         single, single_loss = retargeter.run(recording)
         assert commands.joint_positions.tobytes() == single.joint_positions.tobytes()

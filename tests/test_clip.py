@@ -37,7 +37,7 @@ def view(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("suffix", ["gif", pytest.param("webp", marks=pytest.mark.weekly)])
 def test_a_clip_shows_every_hand_in_real_time(made, suffix):
-    done = view(made, "--frames", "20:70", "--save", f"new/clip.{suffix}")
+    done = view(made, "--frames", "20:50", "--save", f"new/clip.{suffix}")
     if done.returncode == 2 and "can't draw with OpenGL" in done.stderr:
         pytest.skip("this machine has nothing to draw with")
     assert done.returncode == 0, done.stderr
@@ -48,7 +48,7 @@ def test_a_clip_shows_every_hand_in_real_time(made, suffix):
         ]
         assert clip.size == (3 * PANE[0], PANE[1])  # the human, and the robot of each file
         assert clip.info.get("loop", 0) == 0
-    assert len(frames) == round(0.5 * RATE_HZ)
+    assert len(frames) == round(0.3 * RATE_HZ)
     for pane in range(3):
         part = np.s_[60:-20, pane * PANE[0] : (pane + 1) * PANE[0]]
         assert (frames[0][part].min(axis=-1) < 200).mean() > 0.02  # a hand is there

@@ -23,9 +23,10 @@ ALL = ["webdataset", "parquet", "lerobot", "spider"]
 OPTIONS = WritingOptions(shard_mb=0.1)
 
 
+pytest.importorskip("pyarrow")
+
+
 def write(name: str, output: Path, clips: list[RobotClip], options: Any = OPTIONS) -> Any:
-    if name in ("parquet", "lerobot"):
-        pytest.importorskip("pyarrow")
     with WRITERS.load(name).open(output, options) as writer:
         for clip in clips:
             writer.write(clip)
@@ -149,24 +150,22 @@ def test_the_same_clips_give_the_same_bytes(name, tmp_path):
 
 @pytest.mark.parametrize("name", ALL)
 def test_a_killed_run_leaves_complete_shards_and_can_be_resumed(name, tmp_path):
-    clips = [robot_clip(i, frames=60) for i in range(14)]
+    clips = [robot_clip(i, frames=60) for i in range(10)]
     options = WritingOptions(shard_mb=0.03)
-    if name in ("parquet", "lerobot"):
-        pytest.importorskip("pyarrow")
     write(name, tmp_path / "whole", clips, options)
     whole = contents(tmp_path / "whole")
     writer = WRITERS.load(name).open(tmp_path / "working", options)
     for number, clip in enumerate(clips):
         writer.write(clip)
-        if number in (1, 10):  # what is on the disk is what a killed process leaves
+        if number in (1, 7):  # what is on the disk is what a killed process leaves
             shutil.copytree(tmp_path / "working", tmp_path / f"killed{number}")
-    indices = len(list((tmp_path / "killed10" / "meta" / "shards").iterdir()))
-    for number in (1, 10):
+    indices = len(list((tmp_path / "killed7" / "meta" / "shards").iterdir()))
+    for number in (1, 7):
         left = tmp_path / f"killed{number}"
         again = WRITERS.load(name).open(left, options)
         assert not list(left.rglob("*.tmp"))
-        if number == 10:
-            assert 0 < len(again.written) <= 11
+        if number == 7:
+            assert 0 < len(again.written) <= 8
             assert indices > 1
         with again:
             for clip in clips:
@@ -198,8 +197,6 @@ def test_a_shard_without_its_index_is_written_again(name, tmp_path):
 def test_a_full_disk_ends_the_run_and_keeps_complete_shards(name, tmp_path):
     import resource
 
-    if name in ("parquet", "lerobot"):
-        pytest.importorskip("pyarrow")
     options = WritingOptions(shard_mb=0.2)
     clips = [robot_clip(i, frames=120) for i in range(20)]
     writer = WRITERS.load(name).open(tmp_path / "out", options)
@@ -230,8 +227,6 @@ def test_a_full_disk_ends_the_run_and_keeps_complete_shards(name, tmp_path):
 @pytest.mark.parametrize("name", ALL)
 def test_equal_names_and_empty_clips(name, tmp_path):
     first, second = robot_clip(1), robot_clip(2, name="part1/pick/1")
-    if name in ("parquet", "lerobot"):
-        pytest.importorskip("pyarrow")
     with WRITERS.load(name).open(tmp_path / "out", OPTIONS) as writer:
         with pytest.raises(RecordingError, match="no frames"):
             writer.write(robot_clip(0, frames=0))

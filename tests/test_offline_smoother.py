@@ -63,6 +63,13 @@ def accelerations(stamps: np.ndarray) -> np.ndarray:
     return rows
 
 
+def dense_price(stamps: np.ndarray, config: TrajectoryConfig) -> np.ndarray:
+    """(T, T) the matrix of the price of motion, from its three bands."""
+    price = motion_price(stamps, config)
+    lower = sum(np.diag(price[k, : len(stamps) - k], -k) for k in range(3))
+    return lower + np.tril(lower, -1).T
+
+
 def test_a_quadratic_is_solved_as_linear_equations_are():
     stamps, goal = noisy()
     config = TrajectoryConfig(acceleration_weight=1e-5)
@@ -75,10 +82,8 @@ def test_a_quadratic_is_solved_as_linear_equations_are():
 
 def test_motion_has_the_price_that_is_said():
     stamps, _ = noisy(12)
-    price = motion_price(stamps, TrajectoryConfig(acceleration_weight=0.5))
+    dense = dense_price(stamps, TrajectoryConfig(acceleration_weight=0.5))
     q = (stamps - stamps[0]) ** 2  # its acceleration is constant
-    dense = sum(np.diag(price[k, : len(q) - k], -k) for k in range(3))
-    dense = dense + np.tril(dense, -1).T
     assert 0.5 * q @ dense @ q == pytest.approx(0.5 * (len(q) - 2) * 4.0, rel=1e-6)
     assert np.abs(dense @ (1 + 2 * (stamps - stamps[0]))).max() < 1e-6 * np.abs(dense).max()
 
@@ -179,27 +184,17 @@ def test_a_cost_with_hills_never_rises():
     config = TrajectoryConfig(acceleration_weight=1e-5)
     start = goal + np.random.default_rng(1).uniform(-0.6, 0.6, goal.shape)
     found = smooth_trajectory(costs, start, stamps, WIDE, config)
-    price = motion_price(stamps, config)
-    dense = sum(np.diag(price[k, : len(goal) - k], -k) for k in range(3))
-    dense = dense + np.tril(dense, -1).T
+    dense = dense_price(stamps, config)
     first, last = (costs(q)[0].sum() + 0.5 * (q * (dense @ q)).sum() for q in (start, found.q))
     assert found.converged
     assert last == pytest.approx(found.cost)
     assert last < 0.5 * first
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"acceleration_weight": 0.0},
-        {"iterations": 0},
-        {"tolerance": 0.0},
-        {"speed_limit": 0.0},
-    ],
-)
-def test_prices_that_cannot_be_are_refused(wrong):
+@pytest.mark.parametrize("name", ["acceleration_weight", "iterations", "tolerance", "speed_limit"])
+def test_prices_that_cannot_be_are_refused(name):
     with pytest.raises(ConfigError):
-        TrajectoryConfig(**{"acceleration_weight": 1.0, **wrong})
+        TrajectoryConfig(**{"acceleration_weight": 1.0, name: 0})
 
 
 def test_a_recording_of_one_or_two_frames():
@@ -236,12 +231,6 @@ def recording() -> HandRecording:
 def full(whole, recording) -> tuple[CommandTrajectory, np.ndarray]:
     """Commands and loss of the undisturbed recording."""
     return whole.run(recording)
-
-
-@pytest.fixture
-def small_windows(monkeypatch) -> None:
-    monkeypatch.setattr(trajectory_module, "WINDOW", 50)
-    monkeypatch.setattr(trajectory_module, "AHEAD_S", 0.6)
 
 
 def lost(recording: HandRecording, *frames: slice) -> HandRecording:
@@ -286,7 +275,9 @@ def test_led_fingertips_move_as_the_humans(full, recording, hand):
     assert led["cosine_similarity"] > free["cosine_similarity"] - 0.03
 
 
-def test_windows_do_not_show(whole, full, recording, small_windows):
+def test_windows_do_not_show(whole, full, recording, monkeypatch):
+    monkeypatch.setattr(trajectory_module, "WINDOW", 50)
+    monkeypatch.setattr(trajectory_module, "AHEAD_S", 0.6)
     parts, _ = whole.run(recording)
     assert len(windows(len(recording), 50, 36)) > 2
     assert np.abs(parts.joint_positions - full[0].joint_positions).max() < 5e-3
@@ -303,41 +294,27 @@ def test_short_gaps_are_bridged_long_ones_held(whole, full, recording, hand):
     assert np.array_equal(np.isnan(loss), found.status != Status.OK)
     assert np.isfinite(q).all()
     # before the first good frame the neutral pose, over the long gap and at the end the last one
-    np.testing.assert_allclose(
-        q[:3], hand.full_configuration(hand.neutral)[None].repeat(3, 0), atol=1e-9
-    )
+    neutral = np.asarray(hand.full_configuration(hand.neutral))
+    np.testing.assert_allclose(q[:3], neutral[None].repeat(3, 0), atol=1e-9)
     assert (q[70:110] == q[69]).all()
     assert (q[155:] == q[154]).all()
     # over the short one the hand goes on, and near where it would have been
-    assert (
-        np.abs(np.diff(q[29:37], axis=0)).max() < 2.0 * np.abs(np.diff(undisturbed, axis=0)).max()
-    )
+    steps, usual = (np.abs(np.diff(each, axis=0)).max() for each in (q[29:37], undisturbed))
+    assert steps < 2.0 * usual
     assert np.abs(q[30:36] - undisturbed[30:36]).max() < 0.1
 
 
 def test_frames_that_never_came_are_bridged_in_time(whole, full, recording):
     kept = np.delete(np.arange(160), [60, 61, 62])
-    thinned = replace(
-        recording,
-        landmarks=recording.landmarks[kept],
-        stamps=recording.stamps[kept],
-        valid=None,
-        metacarpals=None,
-        orientations=None,
-        meta={},
-    )
-    found, _ = whole.run(thinned)
+    found, _ = whole.run(HandRecording(recording.landmarks[kept], recording.stamps[kept]))
     assert np.abs(found.joint_positions - full[0].joint_positions[kept]).max() < 0.15
 
 
-def test_a_recording_without_any_hand(whole, recording, hand):
+def test_no_hand_and_a_single_frame(whole, recording, hand):
     found, loss = whole.run(lost(recording[:5], slice(0, 5)))
     assert (found.status == Status.INVALID_LANDMARKS).all()
     assert (found.joint_positions == np.asarray(hand.full_configuration(hand.neutral))).all()
     assert np.isnan(loss).all()
-
-
-def test_one_frame(whole, recording):
     found, loss = whole.run(recording[:1])
     assert found.status.tolist() == [Status.OK]
     assert np.isfinite(loss).all()
@@ -357,9 +334,6 @@ def test_methods_without_derivatives_are_refused(hand):
     check_method(CONFIG, hand)
     with pytest.raises(ConfigError, match="bridge"):
         replace(CONFIG, bridge=-1.0)
-
-
-def test_an_alignment_reaches_the_method_within():
     changed = CONFIG.with_alignment(scale=0.8)
     assert (changed.alignment.scale, changed.future) == (0.8, CONFIG.future)
 

@@ -212,14 +212,10 @@ def test_links_are_followed_and_devices_left_alone(tmp_path):
     assert stat.S_ISFIFO(fifo.stat().st_mode)
 
 
-def test_errors_about_other_files_are_not_relabelled(tmp_path):
-    with pytest.raises(FileNotFoundError) as caught, atomic_write(tmp_path / "a.txt"):
-        (tmp_path / "input.txt").read_bytes()
-    assert not isinstance(caught.value, OutputError)
-    assert not list(tmp_path.iterdir())
-
-
 def test_bad_targets(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught, atomic_write(tmp_path / "a.txt"):
+        (tmp_path / "input.txt").read_bytes()  # an error about another file stays as it is
+    assert not isinstance(caught.value, OutputError)
     for path, match in (
         (tmp_path, "it is a folder"),
         (tmp_path / "no" / "a", "does not exist"),
@@ -235,21 +231,16 @@ class Colour(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Inner:
+class Settings:
     limit: float = float("inf")
     colour: Colour = Colour.RED
-
-
-@dataclass(frozen=True)
-class Outer:
-    inner: Inner = Inner()
     names: tuple[str, ...] = ("a", "b")
     table: dict[Any, Any] = field(default_factory=lambda: {Status.OK: np.float32(0.5), 3: None})
 
 
 def test_to_json_is_strict_and_complete():
     value = {
-        "outer": Outer(),
+        "settings": Settings(),
         "array": np.array([[1.0, np.nan]]),
         "flag": np.bool_(True),
         "path": Path("a") / "b",
@@ -257,16 +248,13 @@ def test_to_json_is_strict_and_complete():
         "status": Status.SOLVER_FAILED,
         "text": "é",
     }
+    table = {"OK": 0.5, "3": None}
 
     def reject(constant: str) -> None:
         pytest.fail(f"{constant} is not JSON")
 
     assert json.loads(to_json(value), parse_constant=reject) == {
-        "outer": {
-            "inner": {"limit": "inf", "colour": "RED"},
-            "names": ["a", "b"],
-            "table": {"OK": 0.5, "3": None},
-        },
+        "settings": {"limit": "inf", "colour": "RED", "names": ["a", "b"], "table": table},
         "array": [[1.0, "nan"]],
         "flag": True,
         "path": str(Path("a") / "b"),

@@ -31,7 +31,7 @@ def test_a_mirrored_hand_is_served_by_its_mirror_image(name, mirrored):
 
 
 def test_mirrored_motion_gives_equal_joints_bit_for_bit():
-    recordings = [SyntheticOperator(seed=3, side=side).record(0.4) for side in ("right", "left")]
+    recordings = [SyntheticOperator(seed=3, side=side).record(0.1) for side in ("right", "left")]
     (right, _), (left, _) = (
         Retargeter("mimic_p050", side=recording.side, method="keyvector").run(
             dataclasses.replace(
