@@ -229,14 +229,31 @@ def damaged_json(draw: DrawFn, data: bytes) -> bytes:
     if not isinstance(tree, dict | list) or draw(st.integers(0, 9)) > 7:
         return draw(damaged_text(data))
     tokens: list[str] = []
+
+    def strange() -> str:
+        tokens.append(draw(STRANGE))
+        return f"@{len(tokens) - 1}@"
+
+    damage_tree(draw, tree, strange)
+    text = json.dumps(tree)
+    for number, token in enumerate(tokens):
+        text = text.replace(f'"@{number}@"', token)
+    return text.encode("utf-8", "surrogatepass")
+
+
+def damage_tree(draw: DrawFn, tree: Any, strange: Callable[[], Any]) -> None:
+    """Drops, renames, doubles, wraps or replaces a few values in tables and lists, in place.
+
+    Args:
+        strange: makes a value that stands where another did.
+    """
     for _ in range(draw(st.sampled_from((1, 1, 2, 4)))):
         found = holders(tree)
         if not found:
-            break
+            return
         holder = draw(st.sampled_from(found))
-        key = draw(
-            st.sampled_from(list(holder) if isinstance(holder, dict) else range(len(holder)))
-        )
+        keys = list(holder) if isinstance(holder, dict) else range(len(holder))
+        key = draw(st.sampled_from(keys))
         kind = draw(st.integers(0, 5))
         if kind == 0:
             del holder[key]
@@ -247,12 +264,7 @@ def damaged_json(draw: DrawFn, data: bytes) -> bytes:
         elif kind == 2:
             holder[key] = [holder[key]]
         else:
-            tokens.append(draw(STRANGE))
-            holder[key] = f"@{len(tokens) - 1}@"
-    text = json.dumps(tree)
-    for number, token in enumerate(tokens):
-        text = text.replace(f'"@{number}@"', token)
-    return text.encode("utf-8", "surrogatepass")
+            holder[key] = strange()
 
 
 def holders(tree: Any) -> list[Any]:

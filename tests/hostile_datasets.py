@@ -55,38 +55,6 @@ def read_soundly(layout: str, path: Path, options: ReadingOptions) -> None:
 
 
 @st.composite
-def damaged_values(draw: DrawFn, data: bytes) -> bytes:
-    """An HDF5 file's arrays get extreme numbers or exchange their places; or as others are."""
-    import h5py
-
-    if draw(st.booleans()):
-        return draw(damaged_hdf5(data))
-    stream = io.BytesIO(data)
-    with h5py.File(stream, "r+") as file, np.errstate(all="ignore"):
-        names: list[str] = []
-        file["transforms"].visit(names.append)
-        for _ in range(draw(st.sampled_from((1, 3, 20)))):
-            one, other = (f"transforms/{draw(st.sampled_from(names))}" for _ in range(2))
-            kind = draw(st.integers(0, 3))
-            if not len(file[one]):
-                continue
-            if kind == 0:
-                value = draw(st.sampled_from((0.0, -1.0, np.nan, np.inf, 1e308, 1e30, 1000.0)))
-                file[one][draw(st.integers(0, len(file[one]) - 1))] = value
-            elif kind == 1:
-                content = file[one][()]
-                del file[one]
-                file[one] = content[: draw(st.integers(0, len(content) - 1))]
-            elif kind == 2 and one != other:
-                file.move(one, "transforms/x")
-                file.move(other, one)
-                file.move("transforms/x", other)
-            else:
-                file[one][...] = file[one][...] * draw(st.sampled_from((-1.0, 0.0, 1000.0)))
-    return stream.getvalue()
-
-
-@st.composite
 def damaged_parquet(draw: DrawFn, data: bytes) -> bytes:
     """A column of another type, of extreme numbers or dropped; metadata; or bytes."""
     import pyarrow as pa
@@ -143,24 +111,7 @@ def damaged_pickle(draw: DrawFn, data: bytes) -> bytes:
         *("", "right", b"x", [], {}, [[]], (), np.array("x"), np.zeros(0)),
         *(np.zeros((21, 3)), np.full((1, 21, 3), 1e30), np.zeros((21, 3), np.float16)),
     )
-    for _ in range(draw(st.sampled_from((1, 1, 3, 20)))):
-        holders = fuzzing.holders(value)
-        if not holders:
-            break
-        holder = draw(st.sampled_from(holders))
-        key = draw(
-            st.sampled_from(list(holder) if isinstance(holder, dict) else range(len(holder)))
-        )
-        kind = draw(st.integers(0, 3))
-        if kind == 0:
-            del holder[key]
-        elif kind == 1 and isinstance(holder, list):
-            holder.insert(0, holder[key])
-        elif kind == 1:
-            names = ("x", "is_right", "joints_cam", 7)
-            holder[draw(st.sampled_from(names))] = holder.pop(key)
-        else:
-            holder[key] = draw(st.sampled_from(strange))
+    fuzzing.damage_tree(draw, value, lambda: draw(st.sampled_from(strange)))
     return pickle.dumps(value)
 
 
@@ -199,7 +150,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
 
     about = {"llm_description": "x", "llm_type": "reversible", "which_llm_description": "2"}
     return {
-        "egodex": [(*made("0.hdf5", lambda p: files.egodex_file(p, about=about)), damaged_values)],
+        "egodex": [(*made("0.hdf5", lambda p: files.egodex_file(p, about=about)), damaged_hdf5)],
         "avp": [(*made("t.jsonl", files.avp_file), damaged_lines)],
         "hts": [
             (*made("t.hts", files.hts_file), fuzzing.damaged_bytes),

@@ -266,22 +266,40 @@ def damaged_hdf5(draw: DrawFn, data: bytes) -> bytes:
     texts = ("{", "[" * 5000, "é" * 9000, "smooth-operator", '{"a": ' * 90 + "1" + "}" * 90)
     others = (1, 1e300, b"\xff", [1, 2], ["a", "b"], np.nan, h5py.Empty("S4"))
     stream = io.BytesIO(data)
-    with h5py.File(stream, "r+") as file:
+    with h5py.File(stream, "r+") as file, np.errstate(all="ignore"):
         names: list[str] = []
         file.visit(names.append)
-        name = draw(st.sampled_from(names))
-        kind = draw(st.integers(0, 5))
+        name, other = (draw(st.sampled_from(names)) for _ in range(2))
+        kind = draw(st.integers(0, 7))
         if kind < 3:
             del file[name]
         if kind == 1:
             file[name] = draw(st.sampled_from(values))
         elif kind == 2:
             file.create_dataset(name, draw(st.sampled_from(shapes)), "f8", chunks=True)
-        elif kind > 2:
+        elif kind in (3, 4):
             attributes = draw(st.sampled_from((file, file[name]))).attrs
             value = draw(st.sampled_from(texts) | st.sampled_from(others))
             attributes[draw(st.sampled_from(keys))] = value
+        elif kind > 4 and not any(
+            one.startswith(f"{two}/") for one, two in ((name, other), (other, name))
+        ):
+            _damaged_numbers(draw, file, name, other)
     return stream.getvalue()
+
+
+def _damaged_numbers(draw: DrawFn, file: Any, name: str, other: str) -> None:
+    """An array of numbers gets an extreme one, a factor, or changes its place with another."""
+    if name != other and draw(st.booleans()):
+        file.move(name, "elsewhere")
+        file.move(other, name)
+        file.move("elsewhere", other)
+    elif getattr(file[name], "dtype", np.dtype(int)).kind == "f" and file[name].size:
+        array = file[name][()]
+        if draw(st.booleans()):
+            value = draw(st.sampled_from((0.0, -1.0, np.nan, np.inf, 1e308, 1e30, 1000.0)))
+            array[draw(st.integers(0, len(array) - 1))] = value
+        file[name][...] = array * draw(st.sampled_from((1.0, -1.0, 0.0, 1000.0)))
 
 
 _DATA_PATHS = (
