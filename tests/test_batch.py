@@ -3,17 +3,12 @@
 from dataclasses import replace
 from typing import Any, cast
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
 
-from smooth_operator import Hand, method_config
+from smooth_operator import method_config
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.batching import BatchRetargeter, LaneProgram, Tracks, ticks_of
-from smooth_operator.retargeting.method import Method, MethodOutput
-from smooth_operator.retargeting.program import FrameState, RetargetState
+from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.retargeting.smooth import SmoothConfig
@@ -158,40 +153,3 @@ def test_whole_recordings_in_a_batch_are_each_alone():
     recordings = damaged()[:3]
     batch = whole.batch(recordings)
     assert [bits(whole.run(recording)) for recording in recordings] == list(map(bits, batch))
-
-
-class Counting(Method):
-    """Halves a number until it is small, and counts the turns that the loop takes."""
-
-    needs = (0,)
-
-    def __init__(self, hand: Hand, turns: list[int]) -> None:
-        self.hand, self.turns = hand, turns
-
-    def init(self, seed: int) -> Any:
-        return jnp.float32(1e6)
-
-    def step(self, state: Any, aligned: Any, ticks: Any) -> Any:
-        def half(x: Any) -> Any:
-            jax.debug.callback(lambda: self.turns.append(1))
-            return x * 0.5
-
-        end = lax.while_loop(lambda x: x > 1, half, state)
-        return end, MethodOutput(jnp.zeros(len(self.hand.neutral)) + end, jnp.float32(0))
-
-
-def test_lanes_without_a_hand_need_no_turns_of_a_loop():
-    turns: list[int] = []
-    config = method_config("joint_angle")
-    method = Counting(BatchRetargeter(config=config).hand, turns)
-    initial = RetargetState.of(FrameState(method.init(0), method.hand.neutral.astype(np.float32)))
-    recording = hand(30, 0)
-    program = LaneProgram(method, config, lanes=4)
-    landmarks, ticks = recording.landmarks.astype(np.float32), ticks_of(recording.stamps)
-    tracks = Tracks(landmarks, recording.valid, ticks, [len(recording)])
-    q, status, _ = program.run(initial, tracks)
-    jax.effects_barrier()
-    # 20 turns of all lanes in the first frame; lanes without a recording add none
-    assert len(turns) == 20
-    np.testing.assert_array_equal(status, Status.OK)
-    np.testing.assert_allclose(q, 1e6 / 2**20, rtol=1e-6)

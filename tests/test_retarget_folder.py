@@ -276,13 +276,9 @@ def test_files_that_are_found(tmp_path, expected):
 
 def test_refused_before_any_work(tmp_path):
     recordings, output = tmp_path / "in", tmp_path / "out"
-    one = save(recordings / "one.npz", hand(3))
-    shutil.copy(one, recordings / "one.npy")
-    save(recordings / "report.npz", hand(3))
-    save(recordings / "taken.npz", hand(3))
-    save(recordings / "beside.npz", hand(3))
-    save(recordings / "deep" / "under.npz", hand(3))
-    save(recordings / "fine.npz", hand(3))
+    for name in ("one", "report", "taken", "beside", "deep/under", "fine"):
+        save(recordings / f"{name}.npz", hand(3))
+    shutil.copy(recordings / "one.npz", recordings / "one.npy")
     output.mkdir()
     (output / "taken.npz").write_text("my thesis", encoding="utf-8")
     (output / "beside.json").write_text("{}", encoding="utf-8")
@@ -363,15 +359,9 @@ def test_the_command_retargets_a_folder_and_lists_failures(run, folder, expected
 
 
 def test_every_run_shows_the_notes_on_the_reading(run, tmp_path):
-    one = hand(20)
     (tmp_path / "in").mkdir()
-    np.savez(
-        tmp_path / "in" / "a.npz",
-        landmarks=one.landmarks,
-        timestamps=one.stamps,
-        side="right",
-        is_tracked=np.ones(20, bool),
-    )
+    arrays = {"landmarks": hand(20).landmarks, "timestamps": hand(20).stamps, "side": "right"}
+    np.savez(tmp_path / "in" / "a.npz", **arrays, is_tracked=np.ones(20, bool))
     options = (tmp_path / "in", "--output", tmp_path / "out", *METHOD, "--workers", 0)
     for _ in range(2):
         status, out, err = run(*options)

@@ -61,7 +61,7 @@ class Hawor:
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """List the file, with the name of its folder, which is that of the video."""
         file = _world_file(path)
-        yield ClipRef(file.parent.name or file.stem, file, layout="hawor", size=_size(file))
+        yield ClipRef(file.parent.name or file.stem, file, layout="hawor", size=file.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Read the hands and the camera in one world; frames that are not flagged are NaN.
@@ -127,7 +127,7 @@ class DynHamr:
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """Yields the file as one clip."""
         name = path.stem.removesuffix("_world_results")
-        yield ClipRef(name, path, layout="dynhamr", size=_size(path))
+        yield ClipRef(name, path, layout="dynhamr", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Read the first track of each side, and the camera, in one world.
@@ -244,10 +244,6 @@ def _part(arrays: StoredArrays, name: str, shape: tuple[int | None, ...]) -> np.
 
 def _world_file(path: Path) -> Path:
     return path if path.name == "world_space_res.pth" else path / "world_space_res.pth"
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size
 
 
 HAWOR: Final = Hawor()

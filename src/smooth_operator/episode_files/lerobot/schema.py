@@ -51,8 +51,6 @@ def wrist_pose(values: Sequence[float]) -> np.ndarray:
     place, turn = np.split(np.asarray(values, np.float64), [3])
     if len(turn) == 3:
         return np.concatenate([place, poses.from_rotation_vectors(turn)])
-    if len(turn) == 3:
-        return np.concatenate([place, poses.from_rotation_vectors(turn)])
     if len(turn) == 4:
         length = np.linalg.norm(turn)
         if not 0.1 < length < 10.0:
