@@ -1,6 +1,7 @@
 """Model files of arms, for tests."""
 
-import numpy as np
+import warnings
+
 from scipy.spatial.transform import Rotation
 
 from smooth_operator.simulation.arms.catalogue import ARMS
@@ -18,11 +19,8 @@ def so101_urdf() -> str:
     )
     text, parent = '<robot name="so101"><link name="base"/>', "base"
     for name, (x, y, z, w, *axis) in zip(joints, places, strict=True):
-        turn = Rotation.from_quat([*axis, w]).as_matrix()
-        roll, yaw = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
-        pitch = np.arcsin(np.clip(-turn[2, 0], -1.0, 1.0))
-        if abs(turn[2, 0]) > 0.999999:  # at the pole, only the sum of roll and yaw counts
-            roll, yaw = 0.0, np.arctan2(-turn[0, 1], turn[1, 1])
+        with warnings.catch_warnings(action="ignore"):  # at the pole, roll and yaw count as one
+            roll, pitch, yaw = Rotation.from_quat([*axis, w]).as_euler("xyz")
         text += (
             f'<link name="{name}_link">{mass}</link><joint name="{name}" type="revolute">'
             f'<origin xyz="{x} {y} {z}" rpy="{roll} {pitch} {yaw}"/>'

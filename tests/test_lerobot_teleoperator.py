@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from free_port import free_port
 from lerobot_stand_in import REAL, TELEOPERATOR, plugins, with_lerobot
-from live_time import PATIENCE_S
+from live_time import PATIENCE_S, until
 from ticks import make_tick
 
 from smooth_operator import Retargeter, load_hand
@@ -309,16 +309,15 @@ def test_a_wrong_setting_is_refused(plugin, settings, message):
         plugin.package.SmoothOperator(plugin.package.SmoothOperatorConfig(**settings))
 
 
-def test_it_says_what_is_missing(plugin):
-    address = f"tcp://127.0.0.1:{free_port()}"
-    hand = load_hand("mimic_p050")
+def test_it_reads_what_the_sink_zmq_sends_and_says_what_is_missing(plugin):
+    address, hand = f"tcp://127.0.0.1:{free_port()}", load_hand("mimic_p050")
+
+    def made(**settings: Any) -> Any:
+        return plugin.package.SmoothOperator(plugin.package.SmoothOperatorConfig(**settings))
 
     def refused(expected: str, **settings: Any) -> None:
         for patience in (0.3, 2.0, 20.0):  # the longer ones for a machine that is busy
-            config = plugin.package.SmoothOperatorConfig(
-                address=address, timeout_s=patience, **settings
-            )
-            device = plugin.package.SmoothOperator(config)
+            device = made(address=address, timeout_s=patience, **settings)
             with pytest.raises((ConnectionError, ValueError)) as caught:
                 device.connect()
             assert not device.is_connected
@@ -326,38 +325,23 @@ def test_it_says_what_is_missing(plugin):
                 return
         pytest.fail(f"{caught.value}, not: {expected}")
 
-    config = plugin.package.SmoothOperatorConfig(address=address, timeout_s=0.05)
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="start smooth-operator teleop"):
-        plugin.package.SmoothOperator(config).connect()
+        made(address=address, timeout_s=0.05).connect()
+    with pytest.raises(ValueError, match="not a ZeroMQ address"):
+        made(address="nowhere").connect()
+    device = made(address=address, unit="radians")
     with publishing(address, hand):
         refused("set --teleop.side=right", side="left")
         refused("without the pose of a wrist", wrist="quaternion")
         refused("no_joint are not joints of", joints={"no_joint": "thumb"})
-    config = plugin.package.SmoothOperatorConfig(address="nowhere")
-    with pytest.raises(ValueError, match="not a ZeroMQ address"):
-        plugin.package.SmoothOperator(config).connect()
-
-
-def test_it_reads_what_the_sink_zmq_sends(plugin):
-    hand = load_hand("mimic_p050")
-    address = f"tcp://127.0.0.1:{free_port()}"
-    config = plugin.package.SmoothOperatorConfig(address=address, unit="radians")
-    device = plugin.package.SmoothOperator(config)
-    with publishing(address, hand):
         device.connect()
         assert set(device.action_features) == {f"{name}.pos" for name in hand.joint_names}
-        seen = {tuple(device.get_action().values())}
-        deadline = time.monotonic() + PATIENCE_S
-        while len(seen) < 20 and time.monotonic() < deadline:
-            seen.add(tuple(device.get_action().values()))
-            time.sleep(0.002)
-        assert len(seen) >= 20
+        seen: set[tuple[float, ...]] = set()
+        until(lambda: seen.add(tuple(device.get_action().values())) or len(seen) >= 20)
         assert device.modes == {"right": "tracking"}
         low, high = hand.limits.T
-        angles = dict(
-            zip((k.removesuffix(".pos") for k in device.get_action()), seen.pop(), strict=True)
-        )
-        actuated = [angles[hand.joint_names[i]] for i in hand.actuated]
+        angles = dict(zip(device.action_features, seen.pop(), strict=True))
+        actuated = [angles[f"{name}.pos"] for name in hand.actuated_names]
         assert np.all((actuated >= low - 1e-9) & (actuated <= high + 1e-9))
     device.disconnect()
     with pytest.raises(plugin.errors.DeviceNotConnectedError):
@@ -382,8 +366,7 @@ def test_the_loop_may_run_in_the_same_process(plugin):
     joints = [f"{name}.pos" for name in load_hand("mimic_p050").joint_names]
     expected = [f"{side}_{key}" for side in ("right", "left") for key in (*joints, *POSE)]
     assert list(first) == list(device.action_features) == expected
-    still = {"index_mcp2pp.pos", "tcp.x"}
-    still = {f"{side}_{key}" for side in ("right", "left") for key in still}
+    still = {f"{side}_{key}" for side in ("right", "left") for key in ("index_mcp2pp.pos", "tcp.x")}
     success = False
     while (still or not success) and time.monotonic() < deadline:
         now = device.get_action()

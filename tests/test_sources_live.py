@@ -271,16 +271,6 @@ def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path):
         Replay(plain, speed=0.0)
 
 
-@pytest.mark.shared
-def test_a_real_glove_s_recording_keeps_its_rhythm(shared):
-    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
-    arrivals = played(Replay(path), Waits(until=3.0))
-    stamps = np.array([a.frame.stamp for a in arrivals])
-    received = np.array([a.received for a in arrivals])
-    assert len(stamps) > 300
-    np.testing.assert_allclose(received - received[0], stamps - stamps[0], atol=1e-6)
-
-
 def test_the_built_in_operator_in_real_time_is_that_of_the_demo():
     running, mailbox = started(Waits())
     SyntheticSource(seed=4, rate=60.0, duration=1.0, tracker="headset").run(running)

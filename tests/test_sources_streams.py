@@ -281,16 +281,6 @@ def test_what_is_written_is_read_again():
     assert again.valid.tolist() == [not 5 <= k < 9 for k in range(21)]
 
 
-@pytest.mark.shared
-def test_a_real_glove_s_nodes_go_through_the_stream_unchanged(shared):
-    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
-    with np.load(path, allow_pickle=False) as file:
-        data = file["data"][2600]
-    nodes = [{"id": i, "pos": r[:3], "quat": r[3:]} for i, r in enumerate(data.tolist())]
-    (frame,) = read_glove(glove_text(nodes=nodes))
-    np.testing.assert_allclose(frame.landmarks, data[list(FROM_MANUS_25), :3], atol=1e-7)
-
-
 @contextlib.contextmanager
 def running(source: ThreadedSource) -> Iterator[Kept]:
     mailbox = Kept()

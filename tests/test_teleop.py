@@ -354,20 +354,6 @@ def test_a_source_is_told_which_hands_are_wanted():
     assert build_source("synthetic:side=right", "left").side == "right"
 
 
-def test_teleop_on_the_command_line(capsys, tmp_path):
-    log = tmp_path / "take.mcap"
-    command = f"teleop --source synthetic:rate=60 --sink record:{log} --rate 60"
-    command += " --method joint_angle --duration 1.5 --no-view --json"
-    status = main(command.split())
-    out, err = capsys.readouterr()
-    assert status == 0, err
-    summary = json.loads(out)
-    assert summary["frames_answered"] > 10
-    assert set(summary["stages_ms"]) == {"tracker", "receive", "solve", "limit", "send"}
-    assert summary["sinks"][0]["failed"] == 0
-    assert log.stat().st_size > 1000
-
-
 @dataclass(frozen=True)
 class Unfinished(Sink):
     """A sink without a method."""
@@ -471,6 +457,7 @@ def test_refused_frames_are_counted_in_the_summary(capsys, tmp_path, monkeypatch
     assert main([*command.split(), "--json"]) == 0
     out, err = capsys.readouterr()
     summary = json.loads(out)
+    assert summary["sinks"][0]["failed"] == 0
     (why,) = summary["frames_refused"]["right"]
     assert "by its shape, it is a left hand" in why
     refused = summary["frames_refused"]["right"][why]

@@ -68,6 +68,7 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     assert summary["duration_s"] >= 0.6
     assert 0 < summary["frames_answered"] <= summary["frames_received"]
     assert [sink["failed"] for sink in summary["sinks"]] == [0, 0]
+    assert set(summary["stages_ms"]) == {"tracker", "receive", "solve", "limit", "send"}
     assert len(kept.ticks) == summary["commands"]["right"]
     assert kept.closed
     assert kept.config["hand"] == "leap_hand"
