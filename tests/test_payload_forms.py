@@ -17,7 +17,7 @@ from smooth_operator.io.landmark_order import chirality
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_source
-from smooth_operator.teleop.sources.payload import Forms, PayloadReader, Reading, read_payload
+from smooth_operator.teleop.sources.payload import Forms, PayloadReader, read_payload
 
 HAND = next(SyntheticOperator(seed=2).frames())
 POINTS = HAND.landmarks
@@ -37,10 +37,8 @@ def matrix(point: Any, q: Any, columns: bool = False) -> list[list[float]]:
 def read(
     side: Any = "right", received: float = 7.0, /, *, settings: Any = None, **said: Any
 ) -> Any:
-    found: tuple[Reading, ...] = read_payload(
-        json.dumps(said).encode(), side=side, received=received, **(settings or {})
-    )
-    return found[0].frame
+    message = json.dumps(said).encode()
+    return read_payload(message, side=side, received=received, **(settings or {}))[0].frame
 
 
 def same_turns(a: Any, b: Any) -> bool:
@@ -62,9 +60,8 @@ def test_objects_as_mediapipe_writes_them():
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])
 def test_rows_of_seven_keep_their_orientations(order):
     def rows(points: np.ndarray, turns: np.ndarray) -> list[Any]:
-        return np.hstack(
-            [points, np.roll(turns, -1, axis=1) if order == "xyzw" else turns]
-        ).tolist()
+        turns = np.roll(turns, -1, axis=1) if order == "xyzw" else turns
+        return np.hstack([points, turns]).tolist()
 
     form = {"quaternion": order}
     landmarks = rows(POINTS, QUATERNIONS)
@@ -181,9 +178,8 @@ def test_the_wrist_has_a_pose_in_a_named_world():
     frame = read(landmarks=rows, world="table")
     assert frame.T_world_wrist is None
     hands = [{"side": side, "landmarks": rows, "wrist": [0, 0, 0, 1, 0, 0, 0]} for side in "RL"]
-    both = read_payload(
-        json.dumps({"hands": hands, "world": "map"}).encode(), side=None, received=0.0
-    )
+    message = json.dumps({"hands": hands, "world": "map"}).encode()
+    both = read_payload(message, side=None, received=0.0)
     assert [(r.frame.side, r.frame.world) for r in both] == [("right", "map"), ("left", "map")]
     with pytest.raises(RecordingError, match=r"'wrist' must have shape \(7,\)"):
         read(landmarks=rows, wrist=[1, 2, 3])

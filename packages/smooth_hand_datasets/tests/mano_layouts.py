@@ -120,6 +120,12 @@ def homogeneous(turn: Any, at: Any) -> np.ndarray:
     return found
 
 
+def mesh_file(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("v 0 0 0\n")
+    return path
+
+
 def _object() -> np.ndarray:
     return homogeneous(OBJECT[0].as_matrix(), OBJECT[1])
 
@@ -156,9 +162,7 @@ def dexycb(folder: Path, side: str = "right") -> Made:
         f"extrinsics:\n  '840412060917':\n{rows(master)}  apriltag:\n{rows(tag)}"
         "master: '840412060917'\n"
     )
-    mesh = folder / "models" / "025_mug" / "textured_simple.obj"
-    mesh.parent.mkdir(parents=True)
-    mesh.write_text("v 0 0 0\n")
+    mesh = mesh_file(folder / "models" / "025_mug" / "textured_simple.obj")
     back = np.linalg.inv(tag)
     return Made(
         sequence,
@@ -244,9 +248,7 @@ def arctic(folder: Path) -> Made:
         },
         allow_pickle=True,
     )  # type: ignore[arg-type]
-    mesh = folder / "meta" / "object_vtemplates" / "box" / "top.obj"
-    mesh.parent.mkdir(parents=True)
-    mesh.write_text("v 0 0 0\n")
+    mesh = mesh_file(folder / "meta" / "object_vtemplates" / "box" / "top.obj")
     hinge = homogeneous(Rotation.from_rotvec(bend[:, None] * [0, 0, -1.0]).as_matrix(), np.zeros(3))
     return Made(
         hands,
@@ -289,9 +291,7 @@ def oakink2(folder: Path) -> Made:
     path = folder / "anno_preview" / f"{token}.pkl"
     path.parent.mkdir(parents=True)
     path.write_bytes(pickled(held))
-    mesh = folder / "object_repair" / "align_ds" / "O02@0015@00001" / "scan.obj"
-    mesh.parent.mkdir(parents=True)
-    mesh.write_text("v 0 0 0\n")
+    mesh = mesh_file(folder / "object_repair" / "align_ds" / "O02@0015@00001" / "scan.obj")
     (folder / "program").mkdir()
     target = folder / "program" / "task_target.json"
     target.write_text(json.dumps({token.replace("++", "/"): "Heat the beaker."}))
@@ -338,9 +338,7 @@ def taco(folder: Path) -> Made:
     np.save(cameras / "egocentric_frame_extrinsic.npy", extrinsic)
     video = videos / "color.mp4"
     video.write_bytes(b"x")
-    mesh = folder / "Object_Models" / "033_cm.obj"
-    mesh.parent.mkdir()
-    mesh.write_text("v 0 0 0\n")
+    mesh = mesh_file(folder / "Object_Models" / "033_cm.obj")
     return Made(
         hands,
         [

@@ -17,6 +17,7 @@ from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import CAMERA, ObjectTrack
+from smooth_operator.landmarks import FINGERS
 
 TIPS = [4, 8, 12, 16, 20]
 SIZE = 0.03  # half a cube's edge [m]
@@ -152,20 +153,14 @@ def test_landmarks_of_a_trackers_own_frame_are_carried_to_the_wrist(tmp_path):
     data = read_spider(out, "smooth_operator", "bimanual")["part1/pick/0"]
     for side, hand in clip.clip.hands.items():
         off = data[f"qpos_finger_{side}"][..., :3] - hand.landmarks[:, TIPS]
-        assert (
-            np.abs(off).max() < 0.01
-        )  # the wrist's axes are those of the palm within some degrees
+        # The wrist's axes are those of the palm within some degrees.
+        assert np.abs(off).max() < 0.01
 
 
 def read_flashdex(folder: Path) -> dict[str, dict[str, np.ndarray]]:
     """Clip -> its arrays, as FlashDexRetarget's ``load_clip`` and ``joints`` take them."""
-    names = tuple(
-        sorted(
-            f"{finger}_{part}"
-            for finger in ("thumb", "index", "middle", "ring", "pinky")
-            for part in ("proximal", "intermediate", "distal", "tip")
-        )
-    )
+    parts = ("proximal", "intermediate", "distal", "tip")
+    names = sorted(f"{finger}_{part}" for finger in FINGERS for part in parts)
     found, rates, hands = {}, set(), set()
     for path in sorted((folder / "human_demo").glob("*.npz")):
         with np.load(path) as data:
@@ -180,9 +175,7 @@ def read_flashdex(folder: Path) -> dict[str, dict[str, np.ndarray]]:
             listed = [str(name) for name in clip[f"mano_{side}_joint_names"]]
             joints = clip[f"mano_{side}_joints"][:, [listed.index(name) for name in names]]
             assert joints.shape == (count, 20, 3)
-            clip[f"tips_{side}"] = joints[
-                :, [names.index(f"{f}_tip") for f in ("thumb", "index", "middle", "ring", "pinky")]
-            ]
+            clip[f"tips_{side}"] = joints[:, [names.index(f"{f}_tip") for f in FINGERS]]
             assert clip[f"obj_{side}_pose"].shape == (count, 4, 4)
             np.testing.assert_array_equal(clip[f"obj_{side}_pose"][:, 3], [[0, 0, 0, 1]] * count)
             mesh = folder / "objects" / str(clip[f"obj_{side}_id"]) / "visual.obj"
@@ -250,17 +243,14 @@ def test_flashdex_refuses_incomplete_clips(change, said, tmp_path):
 
 
 def test_flashdex_keeps_to_the_hands_of_its_first_clip(tmp_path, cube):
-    both, one = (
-        with_mesh(robot_clip(i, sides=s), cube)
-        for i, s in enumerate([("right", "left"), ("left",)])
-    )
+    both = with_mesh(robot_clip(0), cube)
+    one = with_mesh(robot_clip(1, sides=("left",)), cube)
     with pytest.raises(RecordingError, match="it has no right hand"):
         write("flashdex", tmp_path / "out", [both, one])
     write("flashdex", tmp_path / "left", [one, both], joints={"left": ()})
     unpack(tmp_path / "left")
-    assert all(
-        "mano_right_joints" not in clip for clip in read_flashdex(tmp_path / "left").values()
-    )
+    for clip in read_flashdex(tmp_path / "left").values():
+        assert "mano_right_joints" not in clip
 
 
 def test_a_flat_object_without_a_hull_is_refused(tmp_path):
@@ -268,7 +258,6 @@ def test_a_flat_object_without_a_hull_is_refused(tmp_path):
     path.write_text("v 0 0 0\nv 1 0 0\n")
     clip = robot_clip(0, objects=0)
     track = ObjectTrack("line", robot_clip(0).clip.objects[0].T_world_object, path)
+    clip = replace(clip, clip=replace(clip.clip, objects=(track,)))
     with pytest.raises(RecordingError, match="can't be read as the mesh"):
-        write(
-            "spider", tmp_path / "out", [replace(clip, clip=replace(clip.clip, objects=(track,)))]
-        )
+        write("spider", tmp_path / "out", [clip])
