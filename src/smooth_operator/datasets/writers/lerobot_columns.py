@@ -2,23 +2,11 @@
 
 ``observation.state`` and ``action`` are the joints of both hands and the poses of their wrists. No
 other column's name begins with either word, because LeRobot uses all columns whose names do as
-inputs and outputs of a policy. ``SIDE`` is ``right`` or ``left``.
+inputs and outputs of a policy. ``schema.COLUMNS`` of ``episode_files.lerobot`` has the type, unit
+and meaning of each.
 
-==========================  =============  ========================================================
-``observation.state``       float32 (n,)   ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of
-                                           the robot's wrist [m, quaternion wxyz]
-``action``                  float32 (n,)   the state of the next frame
-``stamp``                   float64        true time of the frame [s]
-``SIDE_valid``              bool           whether the command was computed from a seen hand
-``SIDE_status``             int64          ``Status`` of the command; -1: the clip lacks the hand
-``SIDE_confidence``         float32        confidence of the tracker, 0 to 1; -1 if unknown
-``SIDE_wrist_valid``        bool           whether the robot's wrist was known
-``SIDE_landmarks``, …                      the human hand; see ``episode_files.lerobot.human``
-``camera``                  float32 (7,)   pose of the camera
-``camera_valid``            bool           whether it was known
-``objects``                 float32 (7k,)  poses of k objects
-``objects_valid``           bool (k,)      whether each was known
-==========================  =============  ========================================================
+The state has ``SIDE_JOINT.pos`` [rad], and ``SIDE_tcp.x`` … ``.qz`` of the robot's wrist [m,
+quaternion wxyz]; the action is the state of the next frame.
 
 No column contains NaN: a policy can't use it, and LeRobot's tools turn it into a null that its
 loader can't read. An unknown pose is replaced by the last known pose; before the first known pose,

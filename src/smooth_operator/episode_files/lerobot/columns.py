@@ -1,40 +1,9 @@
 """The columns of a LeRobot dataset, and the conversion of episodes to columns.
 
-These columns are LeRobot's own:
-
-======================  =====================  ===================================================
-``observation.state``   float32 (n,)           measured joint positions [rad], ``JOINT.pos``; where
-                                               no hand was measured, (63,) landmarks [m], wrist.x,
-                                               wrist.y, … pinky_tip.z; NaN where there is no value
-``action``              float32 (n,)           joint positions [rad], ``JOINT.pos``; with a wrist
-                                               (n + 7,), ``tcp.x``, … ``tcp.qz``; NaN in a frame
-                                               that no command answers
-``timestamp``           float32                ``frame_index / fps`` [s]
-``frame_index``         int64                  within the episode
-``episode_index``       int64
-``index``               int64                  within the dataset
-``task_index``          int64                  row of ``meta/tasks.parquet``
-======================  =====================  ===================================================
-
-These columns hold, without loss, the data that LeRobot's own columns can't hold:
-
-======================  =====================  ===================================================
-``stamp``               float64                time of the frame by the recording's own clock [s]
-``SIDE_landmarks``, …                          the human hand; see the module ``human``
-``wrist_command``       float64 (7,)           of the robot hand, in the robot's base, the same
-``wrist_engaged``       bool                   whether the operator's wrist moved it
-``wrist_valid``         bool                   whether the operator's wrist was known
-``arm_positions``       float64 (a,)           commanded joint positions of the arm [rad]
-``arm_measured``        float64 (a,)           measured when the command was sent [rad]
-``arm_wrist``           float64 (7,)           wrist of the hand at ``arm_positions``, in the base
-``joint_positions``     float64 (n,)           as ``action``
-``command_stamp``       float64                of the command [s]; NaN where there is none
-``status``              int64                  code of the command's status; -1 where there is none
-``latency_ms``          float64                from landmarks to command [ms]
-``stages_ms``           float64 (k,)           parts of it [ms], by stage
-``measured_positions``  float64 (n,)           measured joint positions [rad], newest at ``stamp``
-``measured_stamp``      float64                when they were measured [s]
-======================  =====================  ===================================================
+``schema.COLUMNS`` has the type, unit and meaning of each column. LeRobot's own are
+``observation.state`` and ``action``, in float32, and the indices; the others hold, without loss,
+the data that these can't hold. Values are NaN where there are none, and the status is -1 in a frame
+that no command answers.
 
 A dataset has the columns that any of its episodes needs; the column ``smooth_operator`` in an
 episode's row of ``meta/episodes`` says which of them belong to the episode, and contains its name,

@@ -4,17 +4,9 @@
 each for the hands that it has; ``SIDE`` is ``right`` or ``left``. No policy takes them as
 input by default, since their names begin with neither ``observation`` nor ``action``.
 
-==========================  =============  ========================================================
-``stamp``                   float64        time of the frame by the recording's own clock [s]
-``SIDE_landmarks``          float64 (63,)  wrist.x, wrist.y, … pinky_tip.z [m]
-``SIDE_landmarks_valid``    bool (21,)     False where the tracker lost the landmark
-``SIDE_metacarpals``        float64 (12,)  metacarpal bases [m], index to pinky, if they are known
-``SIDE_orientations``       float64 (84,)  quaternions wxyz, one per landmark, if they are known
-``SIDE_human_wrist``        float64 (7,)   in its world: x y z [m], quaternion wxyz, if it is known
-``SIDE_human_wrist_valid``  bool           whether it was known in this frame
-``SIDE_human_forearm``      float64 (3,)   unit vector from elbow to wrist, in the wrist's frame, if
-                                           it is known
-==========================  =============  ========================================================
+``SIDE_landmarks`` has 63 numbers a frame, wrist.x, wrist.y, … pinky_tip.z, ``SIDE_metacarpals``
+12, from index to pinky, and ``SIDE_orientations`` 84, four for each landmark. A hand has the
+optional parts that its recording has. ``schema.COLUMNS`` has types, units and meanings.
 """
 
 from __future__ import annotations
