@@ -43,7 +43,6 @@ from smooth_operator.teleop.sources.live import Arrival, Mailbox, SourceHealth
 zmq = pytest.importorskip("zmq")
 
 RATE = 100.0
-LONG = PATIENCE_S
 HOSTILE = [
     b'{"do":' + b"[" * 20_000,
     b"{" * 20_000,
@@ -107,10 +106,10 @@ def running(retargeter: Retargeter) -> Iterator[Running]:
     loop.watch = built.ticks.append
     thread = threading.Thread(target=loop.run, daemon=True)
     thread.start()
-    until(lambda: built.ticks, LONG)
+    until(lambda: built.ticks)
     yield built
     loop.controls.quit()
-    thread.join(LONG)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
 
 
@@ -127,7 +126,7 @@ class Client:
         self._socket.send_multipart([b"", *frames])
 
     def hear(self) -> dict[str, Any]:
-        assert self._socket.poll(1000 * LONG), "no answer"
+        assert self._socket.poll(1000 * PATIENCE_S), "no answer"
         return dict(json.loads(self._socket.recv_multipart()[-1]))
 
     def ask(self, message: bytes) -> dict[str, Any]:
@@ -141,19 +140,21 @@ class Client:
         self._context.destroy()
 
 
-def test_no_message_ends_the_listening(running):
-    with (
-        remote(running.loop, "tcp://127.0.0.1:*") as address,
-        Client(address) as client,
-    ):
-        for message in HOSTILE:
-            answer = client.ask(message)
-            assert not answer["ok"], message[:40]
-            assert len(answer["error"]) < 400
-        for _ in range(3):
-            client.send(*[b"x"] * 100)  # more parts than any relay adds
-        assert client.ask(b"status")["modes"] == {"right": "waiting"}
-        assert client.ask(b'{"do": "stop"}')["modes"] == {"right": "stopped"}
+@pytest.fixture
+def client(running: Running) -> Iterator[Client]:
+    with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as connected:
+        yield connected
+
+
+def test_no_message_ends_the_listening(running, client):
+    for message in HOSTILE:
+        answer = client.ask(message)
+        assert not answer["ok"], message[:40]
+        assert len(answer["error"]) < 400
+    for _ in range(3):
+        client.send(*[b"x"] * 100)  # more parts than any relay adds
+    assert client.ask(b"status")["modes"] == {"right": "waiting"}
+    assert client.ask(b'{"do": "stop"}')["modes"] == {"right": "stopped"}
     assert running.mode() is Mode.STOPPED
 
 
@@ -170,12 +171,11 @@ def test_a_word_and_a_status_that_go_wrong_are_answered(running):
         assert client.ask(b"stop")["ok"]
 
 
-def test_asking_for_the_status_sends_no_commands(running):
-    with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as client:
-        for _ in range(3000):
-            client.send(b"status")
-        for _ in range(3000):
-            assert client.hear()["ok"]
+def test_asking_for_the_status_sends_no_commands(running, client):
+    for _ in range(3000):
+        client.send(b"status")
+    for _ in range(3000):
+        assert client.hear()["ok"]
     at = np.array([tick.time for tick in running.ticks])
     window = (np.searchsorted(at, at + 0.2, "right") - np.arange(len(at))).max()
     assert window <= 0.2 * RATE + EXTRA + 1  # a tick's time is a moment after its turn
@@ -190,13 +190,13 @@ def test_a_stop_overtakes_what_waits(running):
         board.hear(word.encode(), lambda text: answers.append((word, json.loads(text))))
 
     say("stop")
-    until(lambda: running.mode() is Mode.STOPPED, LONG)
+    until(lambda: running.mode() is Mode.STOPPED)
     for _ in range(1000):
         say("status")
     say("release")
     say("pause")
     say("stop")  # the release was for the first one
-    until(lambda: running.loop.controls.waiting is False, LONG)
+    until(lambda: running.loop.controls.waiting is False)
     assert [word for word, answer in answers if not answer["ok"]] == ["release"]
     assert "stop arrived in the meantime" in answers[-1][1]["error"]
     while not board.idle:
@@ -214,20 +214,20 @@ def test_a_stop_overtakes_what_waits(running):
 def test_a_stop_ends_what_was_released_a_moment_before(running):
     controls, supervisor = running.loop.controls, running.loop.pipelines["right"].supervisor
     controls.stop()
-    until(lambda: running.mode() is Mode.STOPPED, LONG)
+    until(lambda: running.mode() is Mode.STOPPED)
     held, go = threading.Event(), threading.Event()
-    controls.change(lambda hand: (held.set(), go.wait(LONG)))
-    held.wait(LONG)
+    controls.change(lambda hand: (held.set(), go.wait(PATIENCE_S)))
+    held.wait(PATIENCE_S)
     controls.release()
     controls.stop()  # both wait: the stop was later, and holds
     go.set()
-    until(lambda: not controls.waiting, LONG)
+    until(lambda: not controls.waiting)
     first = len(running.ticks)
-    until(lambda: len(running.ticks) > first + 3, LONG)
+    until(lambda: len(running.ticks) > first + 3)
     assert supervisor.stopped
     assert {tick.mode for tick in running.ticks[first:]} == {Mode.STOPPED}
     controls.release()
-    until(lambda: not supervisor.stopped, LONG)
+    until(lambda: not supervisor.stopped)
 
 
 def test_too_many_messages_are_refused_and_a_stop_is_not(running):
@@ -237,21 +237,20 @@ def test_too_many_messages_are_refused_and_a_stop_is_not(running):
     assert answers
     assert all("too many" in answer["error"] for answer in answers)
     board.hear(b"stop", lambda text: None)
-    until(lambda: running.mode() is Mode.STOPPED, LONG)
+    until(lambda: running.mode() is Mode.STOPPED)
 
 
-def test_a_loop_that_hangs_is_told_by_the_status(running):
-    with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as client:
-        assert client.ask(b"status")["ok"]
-        hangs, go = threading.Event(), threading.Event()
-        running.loop.controls.change(lambda hand: (hangs.set(), go.wait(LONG)))
-        hangs.wait(LONG)
-        time.sleep(0.6)
-        assert "does not answer" in client.ask(b"status")["error"]
-        assert "does not answer" in client.ask(b"stop")["error"]
-        go.set()
-        until(lambda: running.mode() is Mode.STOPPED, LONG)
-        assert client.ask(b"status")["modes"] == {"right": "stopped"}
+def test_a_loop_that_hangs_is_told_by_the_status(running, client):
+    assert client.ask(b"status")["ok"]
+    hangs, go = threading.Event(), threading.Event()
+    running.loop.controls.change(lambda hand: (hangs.set(), go.wait(PATIENCE_S)))
+    hangs.wait(PATIENCE_S)
+    time.sleep(0.6)
+    assert "does not answer" in client.ask(b"status")["error"]
+    assert "does not answer" in client.ask(b"stop")["error"]
+    go.set()
+    until(lambda: running.mode() is Mode.STOPPED)
+    assert client.ask(b"status")["modes"] == {"right": "stopped"}
 
 
 def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running):
@@ -277,7 +276,7 @@ class Terminal:
         """Press keys; returns what is said of it."""
         before = len(self.said)
         os.write(self.master, keys)
-        until(lambda: len(self.said) > before, LONG)
+        until(lambda: len(self.said) > before)
         return self.said[before]
 
 
@@ -299,9 +298,9 @@ def terminal(running: Running, monkeypatch: pytest.MonkeyPatch) -> Iterator[Term
 
 def stays(running: Running, mode: Mode) -> None:
     """The mode is so now, and some commands later."""
-    until(lambda: running.mode() is mode, LONG)
+    until(lambda: running.mode() is mode)
     first = len(running.ticks)
-    until(lambda: len(running.ticks) > first + 5, LONG)
+    until(lambda: len(running.ticks) > first + 5)
     assert {tick.mode for tick in running.ticks[first:]} == {mode}
 
 
@@ -489,8 +488,8 @@ def test_a_pedal_acts_without_the_focus_and_comes_back(tmp_path):
                 for values in ((4, 4, 48), (1, 48, 1), (1, 48, 2), (1, 48, 0), (0, 0, 0)):
                     plugged.write(event(*values))
                 plugged.write(event(1, 30, 1))
-                until(lambda count=count: len(pressed) == 2 * count, LONG)
-            until(lambda count=count: len([line for line in said if "gone" in line]) == count, LONG)
+                until(lambda count=count: len(pressed) == 2 * count)
+            until(lambda count=count: len([line for line in said if "gone" in line]) == count)
     assert pressed == 2 * ["pedal:48", "pedal:30"]
     assert said[0] == "this pedal has no action; to give it one: --bind ACTION=pedal:30"
     assert any(line.endswith("the pedal is back") for line in said)

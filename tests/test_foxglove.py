@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from protobuf_log import decoded, message_class, plain
-from ticks import make_tick
+from ticks import make_tick, record
 
 from smooth_operator import SyntheticOperator, load_hand
 from smooth_operator.landmarks import BONES, LANDMARKS
 from smooth_operator.teleop.recording import LogWriter, read_log
 from smooth_operator.teleop.recording.messages import landmark_keypoints
-from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.types import JointCommand, Status
 
 REQUIRED = """
@@ -65,18 +64,15 @@ def types(message: Any, found: dict[str, Any]) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def session(tmp_path_factory) -> Path:
     """Two seconds at 100 Hz."""
-    path = tmp_path_factory.mktemp("log") / "a.mcap"
-    hand = load_hand("mimic_p050")
-    frames = SyntheticOperator(seed=1, rate_hz=100).record(2.0)
-    sink = RecordSink(path)
-    sink.open({"right": hand}, {})
-    for k, frame in enumerate(frames):
+    path, hand = tmp_path_factory.mktemp("log") / "a.mcap", load_hand("mimic_p050")
+    ticks = []
+    for k, frame in enumerate(SyntheticOperator(seed=1, rate_hz=100).record(2.0)):
         tick = make_tick(hand, k, at=5.0 + 0.01 * k)
         landmarks = frame.landmarks + np.array([3.0, 1.0, 0.0])  # somewhere in the room
         landmarks[8] = np.nan if k % 2 else landmarks[8]
         shown = replace(frame, landmarks=landmarks, valid=None)
-        sink.send(replace(tick, arrival=replace(tick.arrival, frame=shown)))
-    sink.close()
+        ticks.append(replace(tick, arrival=replace(tick.arrival, frame=shown)))
+    record(path, hand, ticks)
     return path
 
 

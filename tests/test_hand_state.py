@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from live_time import PATIENCE_S
 from protobuf_log import decoded, plain
-from ticks import KeptTicks, make_tick
+from ticks import KeptTicks, make_tick, record
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import StateTrajectory
@@ -19,7 +19,6 @@ from smooth_operator.teleop.recording import read_episode
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.runtime.statistics import log_timing
-from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Tick
 from smooth_operator.teleop.sinks.zmq_sink import command_message
@@ -59,11 +58,7 @@ def ticks(hand: Hand, count: int) -> list[Tick]:
 
 @pytest.fixture
 def log(tmp_path, hand) -> Path:
-    sink = RecordSink(tmp_path / "take.mcap")
-    sink.open({"right": hand}, {"hand": hand.name})
-    for tick in ticks(hand, 10):
-        sink.send(tick)
-    sink.close()
+    record(tmp_path / "take.mcap", hand, ticks(hand, 10), {"hand": hand.name})
     return tmp_path / "take.mcap"
 
 

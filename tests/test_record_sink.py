@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from live_time import PATIENCE_S, until
 from protobuf_log import rewritten
-from ticks import make_tick
+from ticks import make_tick, record
 
 from smooth_operator import Hand, Retargeter, load_hand, read_recording
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
@@ -39,23 +39,17 @@ def hands(hand) -> dict[Side, Hand]:
 
 
 def test_all_of_a_session_comes_back(hand, tmp_path):
-    sink = RecordSink(tmp_path / "a.mcap")
-    sink.open({"right": hand}, {"method": "sbr", "rate": 100})
     ticks = [make_tick(hand, i, stamp=0.01 * i, at=50.0 + 0.01 * i) for i in range(30)]
     ticks += [
         make_tick(hand, 30 + i, at=50.3 + 0.01 * i, mode=Mode.HOLDING, frame=False)
         for i in range(20)
     ]
-    ticks[30] = make_tick(
-        hand, 30, at=50.3, mode=Mode.HOLDING, frame=False, events=("tracking -> holding",)
-    )
+    ticks[30] = replace(ticks[30], events=("tracking -> holding",))
     ticks += [  # the tracker is started again, and its stamps with it
         make_tick(hand, 50 + i, stamp=0.01 * i, session=1, at=50.5 + 0.01 * i) for i in range(10)
     ]
-    for tick in ticks:
-        sink.send(tick)
-    sink.close()
-    sink.close()
+    sink = record(tmp_path / "a.mcap", hand, ticks, {"method": "sbr", "rate": 100})
+    sink.close()  # again
     assert sink.note == ""
 
     log = read_log(tmp_path / "a.mcap")
@@ -85,17 +79,14 @@ def test_all_of_a_session_comes_back(hand, tmp_path):
 def test_late_frames_keep_their_distances(hand, tmp_path):
     """Ticks without a frame give way to frames that were measured before them."""
     rng = np.random.default_rng(3)
-    path = tmp_path / "a.mcap"
-    sink = RecordSink(path)
-    sink.open({"right": hand}, {})
-    stamps = []
-    for i in range(300):
+    stamps = 0.01 * np.arange(300) - rng.uniform(0, 0.006, 300)
+    ticks = []
+    for i, stamp in enumerate(stamps):
         at = 7.0 + 0.01 * i
-        sink.send(make_tick(hand, 2 * i, at=at - 0.003, frame=False))
-        stamps.append(0.01 * i - float(rng.uniform(0, 0.006)))
-        sink.send(make_tick(hand, 2 * i + 1, at=at, stamp=stamps[-1]))
-    sink.close()
-    log = read_log(path)
+        ticks.append(make_tick(hand, 2 * i, at=at - 0.003, frame=False))
+        ticks.append(make_tick(hand, 2 * i + 1, at=at, stamp=stamp))
+    record(tmp_path / "a.mcap", hand, ticks)
+    log = read_log(tmp_path / "a.mcap")
     assert (np.diff(log.commands.stamps) > 0).all()
     off = np.abs(np.diff(log.recording.stamps) - np.diff(stamps))
     assert (off < 1e-9).mean() > 0.95
@@ -103,13 +94,11 @@ def test_late_frames_keep_their_distances(hand, tmp_path):
 
 
 def test_the_other_readers_take_a_live_log(hand, tmp_path):
-    sink = RecordSink(tmp_path / "a.mcap")
-    sink.open({"right": hand}, {})
-    for i in range(40):
-        sink.send(make_tick(hand, i, at=9.0 + 0.01 * i, frame=i % 4 != 0))
-    sink.close()
-    assert len(read_recording(tmp_path / "a.mcap")) == 30
-    episode = read_episode(tmp_path / "a.mcap")
+    path = tmp_path / "a.mcap"
+    ticks = [make_tick(hand, i, at=9.0 + 0.01 * i, frame=i % 4 != 0) for i in range(40)]
+    record(path, hand, ticks)
+    assert len(read_recording(path)) == 30
+    episode = read_episode(path)
     assert len(episode.commands) == 40
     assert (episode.answered() >= 0).sum() == 30
     write_log_episode(tmp_path / "b.mcap", episode)
@@ -119,11 +108,7 @@ def test_the_other_readers_take_a_live_log(hand, tmp_path):
 
 
 def test_damaged_loop_messages_are_named(tmp_path, hand):
-    tick = make_tick(hand, 0)
-    sink = RecordSink(tmp_path / "b.mcap")
-    sink.open({"right": hand}, {})
-    sink.send(tick)
-    sink.close()
+    record(tmp_path / "b.mcap", hand, [make_tick(hand)])
 
     def damaged(topic: str, message: Any) -> Any:
         return message.SerializeToString()[:-3] if topic == "/loop" else message
@@ -147,9 +132,7 @@ def test_two_hands_and_numbered_takes(hands, tmp_path):
     for side in hands:
         recording = read_log(folder / f"take-002.{side}.mcap").recording
         assert recording.side == side
-    one = RecordSink(folder)
-    one.open({"right": hands["right"]}, {})
-    one.close()
+    one = record(folder, hands["right"], [])
     assert [p.name for p in one.paths] == ["take-004.mcap"]
 
 
@@ -316,16 +299,16 @@ def test_killed_at_any_moment_all_but_the_last_second_is_there(tmp_path):
 
 def _recorded(hand: Hand, path: Path, stamps: list[float]) -> Log:
     """The log of a tracker with these stamps, a frame every 10 ms; through mailbox and pipeline."""
-    mailbox, sink = Mailbox(clock=lambda: 0.0), RecordSink(path)
+    mailbox = Mailbox(clock=lambda: 0.0)
     retargeter = Retargeter(hand, method="joint_angle")
     pipeline = HandPipeline(retargeter, LoopConfig(rate=100.0), clock=lambda: now)
     operator = SyntheticOperator(seed=3, rate_hz=100).record(len(stamps) / 100)
-    sink.open({"right": hand}, {})
+    ticks = []
     for k, (frame, stamp) in enumerate(zip(operator, stamps, strict=True)):
         now = 50.0 + 0.01 * k
         mailbox.post(replace(frame, stamp=stamp), received=now)
-        sink.send(pipeline.step(now, mailbox.take("right")))
-    sink.close()
+        ticks.append(pipeline.step(now, mailbox.take("right")))
+    record(path, hand, ticks)
     return read_log(path)
 
 

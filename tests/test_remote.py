@@ -49,8 +49,6 @@ from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 
 zmq = pytest.importorskip("zmq")
 
-LONG = PATIENCE_S
-
 
 @dataclass
 class Stage:
@@ -67,7 +65,7 @@ class Stage:
     ticks: list[Tick] = field(default_factory=list)
 
     def do(self, word: str, **fields: Any) -> dict[str, Any]:
-        end = time.monotonic() + LONG
+        end = time.monotonic() + PATIENCE_S
         while True:
             try:
                 return self.teleop.request(word, **fields)
@@ -75,8 +73,9 @@ class Stage:
                 if "the loop does not answer" not in str(error) or time.monotonic() > end:
                     raise
 
-    def config(self) -> Any:
-        return self.loop.pipelines["right"].retargeter.config
+    def refused(self, words: str, word: str, **fields: Any) -> None:
+        with pytest.raises(RemoteRefusedError, match=words):
+            self.do(word, **fields)
 
 
 @pytest.fixture(scope="module")
@@ -117,11 +116,11 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
     with remote(loop, "tcp://127.0.0.1:*", handlers.by_command, handlers.status) as address:
         thread = threading.Thread(target=lambda: loop.run(started=started))
         thread.start()
-        until(lambda: ticks and ticks[-1].mode is Mode.TRACKING, LONG)
+        until(lambda: ticks and ticks[-1].mode is Mode.TRACKING)
         teleop = RemoteTeleop(address, 20.0)
         yield Stage(loop, switcher, simulation, opened[0], handlers, session, folder, teleop, ticks)
         loop.controls.quit()
-        thread.join(LONG)
+        thread.join(PATIENCE_S)
     session.close()
     sys.setswitchinterval(turn)
     assert not thread.is_alive()
@@ -134,14 +133,13 @@ def test_the_rate_is_what_another_program_asks_for(stage):
         assert stage.do("rate", rate=20) == {"ok": True, "rate": 20.0}
         assert stage.do("status")["rate"] == 20.0
         begun = len(stage.ticks) + 3  # what was on its way when the rate was changed
-        until(lambda: len(stage.ticks) > begun + 12, LONG)
+        until(lambda: len(stage.ticks) > begun + 12)
         taken = stage.ticks[begun : begun + 13]
         seconds = taken[-1].time - taken[0].time
         assert len(taken) - 1 <= 20.0 * seconds + 2.25 + 1e-6  # never more than was asked for
-        until(lambda: stage.ticks[-1].mode is Mode.TRACKING, LONG)
+        until(lambda: stage.ticks[-1].mode is Mode.TRACKING)
         for wrong in (0, 5000, "fast", None, True):
-            with pytest.raises(RemoteRefusedError, match="rate"):
-                stage.do("rate", rate=wrong)
+            stage.refused("rate", "rate", rate=wrong)
         assert stage.do("status")["rate"] == 20.0
     finally:
         stage.do("rate", rate=50.0)
@@ -168,7 +166,7 @@ def test_another_method_while_the_hand_moves(stage):
     def by_geort(tick: Tick) -> bool:
         return tick.driver is not None and tick.driver.method == "geort"
 
-    until(lambda: stage.ticks[-1].mode is Mode.TRACKING and by_geort(stage.ticks[-1]), LONG)
+    until(lambda: stage.ticks[-1].mode is Mode.TRACKING and by_geort(stage.ticks[-1]))
     ticks = stage.ticks[first:]
     assert [t.number for t in ticks] == list(range(ticks[0].number, ticks[-1].number + 1))
     assert {t.mode for t in ticks} <= {Mode.TRACKING, Mode.BLENDING, Mode.HOLDING}
@@ -195,8 +193,7 @@ def test_another_method_while_the_hand_moves(stage):
 )
 def test_a_method_that_is_none_is_refused_and_the_old_one_goes_on(stage, fields, words):
     before = stage.loop.pipelines["right"].retargeter
-    with pytest.raises(RemoteRefusedError, match=words):
-        stage.do("method", **fields)
+    stage.refused(words, "method", **fields)
     assert stage.loop.pipelines["right"].retargeter is before
 
 
@@ -206,7 +203,7 @@ def test_a_stop_is_answered_while_a_method_is_compiled(stage, monkeypatch):
     go, warm_up = threading.Event(), Retargeter.warm_up
 
     def slow(retargeter: Retargeter) -> float:
-        assert go.wait(LONG)
+        assert go.wait(PATIENCE_S)
         return warm_up(retargeter)
 
     monkeypatch.setattr(Retargeter, "warm_up", slow)
@@ -214,21 +211,21 @@ def test_a_stop_is_answered_while_a_method_is_compiled(stage, monkeypatch):
     hasty = RemoteTeleop(stage.teleop.address, 0.4)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(hasty.request, "method", method="joint_angle")
-        until(lambda: stage.do("status")["busy"] == ["method"], LONG)
-        until(lambda: stage.switcher.building, LONG)
+        until(lambda: stage.do("status")["busy"] == ["method"])
+        until(lambda: stage.switcher.building)
         assert stage.do("status")["building"] == "compiling joint_angle default"
-        until(lambda: stage.do("status")["compiling"] == ["right"], LONG)
+        until(lambda: stage.do("status")["compiling"] == ["right"])
         assert stage.do("stop")["modes"] == {"right": "stopped"}
         assert stage.do("release")["ok"]
         time.sleep(1.0)  # longer than the silence that it puts up with
         assert not first.done()
         second = pool.submit(stage.do, "method", method="geort")
         with pytest.raises(RemoteRefusedError, match="another method was requested"):
-            first.result(LONG)
+            first.result(PATIENCE_S)
         go.set()
-        assert second.result(LONG)["method"] == "geort"
+        assert second.result(PATIENCE_S)["method"] == "geort"
     assert stage.do("status")["busy"] == []
-    until(lambda: stage.do("status")["compiling"] == [], LONG)
+    until(lambda: stage.do("status")["compiling"] == [])
 
 
 def test_a_method_that_cannot_be_built_is_said(stage, monkeypatch):
@@ -239,10 +236,9 @@ def test_a_method_that_cannot_be_built_is_said(stage, monkeypatch):
     other = "joint_angle" if used == "geort" else "geort"
     with monkeypatch.context() as patched:
         patched.setattr(Retargeter, "warm_up", broken)
-        with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
-            stage.do("method", method=other)
+        stage.refused("MemoryError: no room", "method", method=other)
     assert stage.do("status")["method"] == used
-    until(lambda: stage.do("status")["compiling"] == [], LONG)
+    until(lambda: stage.do("status")["compiling"] == [])
     assert stage.do("method", method=other)["method"] == other
 
 
@@ -259,8 +255,7 @@ def test_an_operators_file_is_loaded_and_dropped(stage, tmp_path):
     stage.do("method", method="geort")
     assert known() == {"index": 0.1}  # it is the operator's, not the method's
     for bad, words in ((left, "no left hand"), (tmp_path / "no", "no such")):
-        with pytest.raises(RemoteRefusedError, match=words):
-            stage.do("calibration", path=str(bad))
+        stage.refused(words, "calibration", path=str(bad))
     assert stage.do("status")["operators"] == {"right": "here"}
     stage.do("calibration")
     assert known() == {}
@@ -270,9 +265,9 @@ def test_the_record_knows_which_method_was_used_when(stage):
     for method in ("joint_angle", "geort"):
         stage.do("method", method=method)
         count = len(stage.ticks)
-        until(lambda count=count: len(stage.ticks) > count + 5, LONG)
+        until(lambda count=count: len(stage.ticks) > count + 5)
     path = stage.folder / "take.mcap"
-    until(lambda: [m.method for m in read_log(path).methods][-2:] == ["joint_angle", "geort"], LONG)
+    until(lambda: [m.method for m in read_log(path).methods][-2:] == ["joint_angle", "geort"])
     log = read_log(path)
     assert (log.methods[0].method, log.methods[0].preset) == ("joint_angle", "default")
     stamps = [use.stamp for use in log.methods]
@@ -336,8 +331,7 @@ def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):
 
 
 def test_a_task_is_loaded_switched_and_left(stage):
-    with pytest.raises(RemoteRefusedError, match="load one first"):
-        stage.do("trial", begin=True)
+    stage.refused("load one first", "trial", begin=True)
     first = len(stage.ticks)
     answer = stage.do("task", task="A")
     assert (answer["task"], answer["title"]) == ("card", "Card pickup")
@@ -354,8 +348,7 @@ def test_a_task_is_loaded_switched_and_left(stage):
     look = stage.session.look(text=False, scenery=look["number"])["scenery"]
     assert "cube" in {part["name"] for part in look["parts"]["right"]}
     for bad, words in (("chess", "unknown task 'chess'"), (3, "expected a string")):
-        with pytest.raises(RemoteRefusedError, match=words):
-            stage.do("task", task=bad)
+        stage.refused(words, "task", task=bad)
     assert stage.do("status")["task"] == "cube"
     assert stage.do("task")["task"] is None
     look = stage.session.look(text=False, scenery=look["number"])["scenery"]
@@ -373,14 +366,11 @@ def test_a_trial_from_begin_to_record(stage):
     used = stage.do("status")["method"]
     begun = stage.do("trial", begin=True, about={"participant": "P07", "trial": 3})
     assert (begun["phase"], begun["number"], begun["resets"]) == ("running", 1, 0)
-    with pytest.raises(RemoteRefusedError, match="running"):
-        stage.do("trial", begin=True)
-    with pytest.raises(RemoteRefusedError, match="together"):
-        stage.do("trial", begin=True, finish=True)
-    until(lambda: stage.do("trial")["elapsed_s"] > 0.2, LONG)
+    stage.refused("running", "trial", begin=True)
+    stage.refused("together", "trial", begin=True, finish=True)
+    until(lambda: stage.do("trial")["elapsed_s"] > 0.2)
     assert stage.do("reset")["resets"] == 1
-    with pytest.raises(RemoteRefusedError, match="one reset"):
-        stage.do("reset")
+    stage.refused("one reset", "reset")
     done = stage.do("trial", finish=True, side="right")
     result = [done[name] for name in ("phase", "ended", "line", "score")]
     assert result == ["done", "finished", "not-done", 0.0]
@@ -388,7 +378,7 @@ def test_a_trial_from_begin_to_record(stage):
     assert done["time_s"] == done["elapsed_s"] > 0.2
     assert done["text"]
     path = stage.folder / "trials" / "screwdriver-001.npz"
-    until(path.exists, LONG)
+    until(path.exists)
     about = read_trial(path).about
     assert about == {"participant": "P07", "trial": 3, "method": used}
     for fields, words in (
@@ -397,12 +387,11 @@ def test_a_trial_from_begin_to_record(stage):
         ({"side": "up"}, "right or left"),
         ({"begin": True, "about": [1]}, "about: expected an object"),
     ):
-        with pytest.raises(RemoteRefusedError, match=words):
-            stage.do("trial", **fields)
+        stage.refused(words, "trial", **fields)
     stage.do("trial", begin=True)
     assert stage.do("trial", cancel=True)["phase"] == "ready"
     assert len(stage.runner.outcomes["right"]) == 1
-    until(lambda: any("is forgotten" in " ".join(t.events) for t in stage.ticks[-50:]), LONG)
+    until(lambda: any("is forgotten" in " ".join(t.events) for t in stage.ticks[-50:]))
     events = [event for tick in stage.ticks for event in tick.events]
     said = [event.replace(" of screwdriver", "") for event in events if event.startswith("trial ")]
     assert said == [

@@ -284,6 +284,16 @@ class Stage:
         return np.array([tick.command.joint_positions for tick in self.ticks])
 
 
+@pytest.fixture
+def stage(retargeter) -> Stage:
+    return Stage(retargeter)
+
+
+@pytest.fixture(scope="module")
+def frames(motion) -> list[HandFrame]:
+    return list(motion)
+
+
 def modes(ticks: list[Tick]) -> list[Mode]:
     """Modes in their order, without repetitions."""
     out: list[Mode] = []
@@ -293,8 +303,7 @@ def modes(ticks: list[Tick]) -> list[Mode]:
     return out
 
 
-def test_silence_holds_then_eases_and_the_return_blends(hand, retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_silence_holds_then_eases_and_the_return_blends(stage, frames, hand):
     assert modes(stage.play([None] * 5)) == [Mode.WAITING]
     assert modes(stage.play(frames[:200])) == [Mode.BLENDING, Mode.TRACKING]
     held = stage.play([None] * 100)
@@ -315,8 +324,7 @@ def test_silence_holds_then_eases_and_the_return_blends(hand, retargeter, motion
     within(hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_tracking_is_the_methods_own_answer(retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_tracking_is_the_methods_own_answer(stage, frames, retargeter):
     followed = stage.play(frames[:300])[-1]
     assert followed.mode is Mode.TRACKING
     assert followed.status == Status.OK
@@ -334,8 +342,7 @@ def test_on_loss_hold_never_eases(retargeter, motion):
     assert modes(stage.play([None] * 500)) == [Mode.TRACKING, Mode.HOLDING]
 
 
-def test_a_robot_holds_while_a_method_is_compiled(retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_a_robot_holds_while_a_method_is_compiled(stage, frames, retargeter):
     stage.pipeline.hold()
     waiting = stage.play(frames[:50])
     assert modes(waiting) == [Mode.WAITING]
@@ -357,8 +364,7 @@ def test_a_robot_holds_while_a_method_is_compiled(retargeter, motion):
     within(stage.pipeline.retargeter.hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_useless_frames_are_a_loss(retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_useless_frames_are_a_loss(stage, frames):
     stage.play(frames[:100])
     nothing = [replace(f, landmarks=np.full((21, 3), np.nan), valid=None) for f in frames[100:400]]
     ticks = stage.play(nothing)
@@ -367,8 +373,7 @@ def test_useless_frames_are_a_loss(retargeter, motion):
     assert "not used" in ticks[0].events[0]
 
 
-def test_the_clutch_holds_and_takes_over_where_the_operator_is(hand, retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_the_clutch_holds_and_takes_over_where_the_operator_is(stage, frames, hand):
     stage.play(frames[:100])
     stage.pipeline.supervisor.pause()
     paused = stage.play(frames[100:200])
@@ -382,8 +387,7 @@ def test_the_clutch_holds_and_takes_over_where_the_operator_is(hand, retargeter,
     within(hand, LOOP.limits, stage.q, PERIOD)
 
 
-def test_an_emergency_stop_stands_at_once_until_released(retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_an_emergency_stop_stands_at_once_until_released(stage, frames):
     before = stage.play(frames[:100])[-1]
     stage.pipeline.supervisor.stop()
     stopped = stage.play(frames[100:150])
@@ -398,8 +402,7 @@ def test_an_emergency_stop_stands_at_once_until_released(retargeter, motion):
 
 
 @pytest.mark.parametrize("switch", ["stop", "pause"])
-def test_a_release_moves_nothing_before_a_frame_comes(retargeter, motion, switch):
-    stage, frames = Stage(retargeter), list(motion)
+def test_a_release_moves_nothing_before_a_frame_comes(stage, frames, switch):
     stage.play(frames[:100])
     getattr(stage.pipeline.supervisor, switch)()
     stopped = stage.play(frames[100:150])[-1]
@@ -411,7 +414,9 @@ def test_a_release_moves_nothing_before_a_frame_comes(retargeter, motion, switch
     assert modes(stage.play(frames[150:152])) == [Mode.BLENDING]
 
 
-def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(retargeter, motion, monkeypatch):
+def test_the_memory_of_a_method_ends_with_the_loss_of_the_hand(
+    stage, frames, retargeter, monkeypatch
+):
     begun: list[float] = []
     first = retargeter.init
 
@@ -419,7 +424,6 @@ def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(retargeter, moti
         begun.append(stage.now)
         return first(**given)
 
-    stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:50])
     monkeypatch.setattr(retargeter, "init", init)
     stage.play([None] * 30)  # held, not lost
@@ -435,8 +439,7 @@ def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(retargeter, moti
     assert len(begun) == 2
 
 
-def test_a_blend_goes_half_the_way_in_half_of_its_time(retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_a_blend_goes_half_the_way_in_half_of_its_time(stage, frames):
     stage.play(frames[:100])
     stage.pipeline.supervisor.pause()
     start = stage.play([None] * 30)[-1].command.joint_positions
@@ -452,8 +455,7 @@ def test_a_blend_goes_half_the_way_in_half_of_its_time(retargeter, motion):
         np.testing.assert_allclose(gone, share * way, atol=0.04 * np.abs(way).max())
 
 
-def test_a_short_gap_blends_as_long_as_the_gap(retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
+def test_a_short_gap_blends_as_long_as_the_gap(stage, frames):
     stage.play(frames[:100])
     stage.play([None] * 20)  # 0.2 s
     back = stage.play(frames[120:200])

@@ -146,7 +146,7 @@ def test_the_watchdog_tells_of_a_loop_that_hangs(retargeters, frames):
     loop = looped(retargeters, Player(frames), sink, config=config)
     loop.controls.change(lambda hand: ended.append(until(lambda: sink.silences)[0]))
     loop.controls.change(lambda hand: loop.controls.quit())
-    loop.run(duration=2 * LONG_S)
+    loop.run(duration=2 * PATIENCE_S)
     assert ended[0] > 0.1
     assert min(sink.silences) > 0.1
 
@@ -274,18 +274,14 @@ def test_a_source_can_stop_the_loop_and_knows_its_mode(retargeters, frames):
 
 def sleeping(until: threading.Event) -> None:
     """Holds the thread up and releases the GIL, as XLA does while it compiles."""
-    until.wait(LONG_S)
+    until.wait(PATIENCE_S)
 
 
 def computing(until: threading.Event) -> None:
     """Holds the thread up and the GIL, too, but for a moment now and then, as tracing does."""
-    end = time.perf_counter() + LONG_S
+    end = time.perf_counter() + PATIENCE_S
     while not until.is_set() and time.perf_counter() < end:
         sum(range(100_000))
-
-
-LONG_S = PATIENCE_S
-"""Time for which a method is held up if no stop ends it [s]; no test waits so long."""
 
 
 @pytest.mark.parametrize("compiling", [sleeping, computing])
@@ -318,7 +314,7 @@ def test_an_emergency_stop_does_not_wait_for_a_method_that_compiles(
             compile_once.append(held_up)
 
     def press() -> None:
-        busy.wait(LONG_S)
+        busy.wait(PATIENCE_S)
         loop.controls.stop()
         while not ended_by_stop:
             time.sleep(0.001)
@@ -337,7 +333,7 @@ def test_an_emergency_stop_does_not_wait_for_a_method_that_compiles(
     sink = Telling()
     loop = looped(retargeters, Player(frames, before=begin), sink)
     threading.Thread(target=press, daemon=True).start()
-    loop.run(duration=2 * LONG_S)
+    loop.run(duration=2 * PATIENCE_S)
     assert ended_by_stop == [True]
     modes = [tick.mode for tick in sink.ticks]
     first = modes.index(Mode.STOPPED)

@@ -9,7 +9,7 @@ import pytest
 from glove_simulator import write_manus
 from live_time import Kept, until
 from protobuf_log import decoded
-from ticks import make_tick
+from ticks import make_tick, record
 
 from smooth_operator import load_hand, poses, read_recording
 from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
@@ -22,7 +22,6 @@ from smooth_operator.teleop.recording import read_episode, write_episode
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_episode import write_log_episode
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
 from smooth_operator.teleop.sources.live import ThreadedSource
@@ -247,8 +246,6 @@ def test_parts_of_an_episode_and_of_a_recording_keep_the_wrist(tmp_path):
 
 def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path):
     hand = load_hand("mimic_p050")
-    sink = RecordSink(tmp_path / "take.mcap")
-    sink.open({"right": hand}, {})
     sent = []
     for k in range(4):
         tick = make_tick(hand, k, frame=k != 2)
@@ -258,8 +255,7 @@ def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path):
             frame = replace(tick.arrival.frame, T_world_wrist=pose, world="room")
             tick = replace(tick, arrival=replace(tick.arrival, frame=frame))
         sent.append(replace(tick, wrist=command))
-        sink.send(sent[-1])
-    sink.close()
+    record(tmp_path / "take.mcap", hand, sent)
     log = read_log(tmp_path / "take.mcap")
     np.testing.assert_allclose(log.wrist.poses[:, 0], [0.3, 0.31, 0.32, 0.33])
     assert log.wrist.engaged.tolist() == [False, True, True, True]

@@ -1,8 +1,9 @@
 """Ticks as the loop makes them, and a sink that keeps them."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from made_hands import hand_points
 
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
@@ -100,3 +102,15 @@ class KeptTicks(Sink):
 
     def close(self) -> None:
         self.closed += 1
+
+
+def record(
+    path: Path, hand: Hand, ticks: Iterable[Tick], config: Mapping[str, Any] = {}
+) -> RecordSink:
+    """Writes the log of a hand's ticks."""
+    sink = RecordSink(path)
+    sink.open({hand.spec.side: hand}, config)
+    for tick in ticks:
+        sink.send(tick)
+    sink.close()
+    return sink
