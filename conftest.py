@@ -146,7 +146,6 @@ LONG_FILES = (
     "test_dataset_pipeline.py",
     "test_parallel.py",
     "test_smooth.py",
-    "test_texts_on_pages.py",
     "test_signals.py",
     "test_study_report.py",
     "test_hand_matrix.py",

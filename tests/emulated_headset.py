@@ -67,3 +67,11 @@ def new_headset(browser: Any, emulator: str, width: int = 480, height: int = 640
     page.set_default_timeout(120_000)  # software rendering on a busy machine
     page.add_init_script(f"{emulator}\n;{MOVE}")
     return page
+
+
+def pair(page: Any, address: str, code: str, mode: str | None = None) -> None:
+    """Opens the page of a source, which pairs by the code in the address, and chooses a mode."""
+    page.goto(f"{address}/#{code}")
+    page.locator("#state", has_text="linked").wait_for()
+    if mode is not None:
+        page.select_option("#mode", mode)

@@ -3,15 +3,13 @@
 import ast
 import functools
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TypeAlias
 
 import pytest
 
 PACKAGE = "smooth_operator"
-_Line: TypeAlias = tuple[int, str]
 SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
 """Experiments outside the wheel: they may import all of the package, which imports none of them."""
@@ -81,18 +79,9 @@ LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
 KNOWN_UPWARD = {
-    "formats/registry.py": {
-        "episode_files",
-        "episode_files.egodex",
-        "episode_files.hdf5",
-        "episode_files.landmark_pairs",
-        "episode_files.packed",
-        "headsets.recordings",
-        "teleop.recording",
-        "teleop.recording.log_reader",
-    },
+    "formats/registry.py": {"episode_files", "headsets.recordings", "teleop.recording"},
 }
-"""File -> what it imports from above by a string such as ``Entry("smooth_operator...")``. Such an
+"""File -> what it imports from above by a text such as ``Entry("smooth_operator...")``. Such an
 import hides an arrow that runs up, so the list only shrinks: a new one fails, and so does one that
 is gone and still listed."""
 
@@ -104,7 +93,7 @@ CLOSURE_LINES = 10_189
 
 MAX_LINES = 700
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
-TARGET = re.compile(rf"{PACKAGE}\.[\w. ]+(:[\w. ]+)?")
+TARGET = re.compile(rf"{PACKAGE}(\.\w+)+(:[\w.]+)?")
 RESTRICTED = {"smooth_hand_datasets/unpickle.py"}
 """Reads pickles as data, with an ``Unpickler`` that refuses every name but a few."""
 DRAWERS = {"util", "utils", "helpers", "misc"}
@@ -115,9 +104,20 @@ def modules(source: Path) -> list[Path]:
     return sorted([*source.rglob("*.py"), *source.rglob("*.pyi")])
 
 
+def place(source: Path, path: Path) -> str:
+    """A file as messages name it, from the name of its package on."""
+    return path.relative_to(source.parent).as_posix()
+
+
 def top_level(source: Path, path: Path) -> str:
     """Name of the top-level module that a file belongs to, as in ``LEVELS``."""
     return path.relative_to(source).with_suffix("").parts[0]
+
+
+@functools.cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """All nodes of a file's syntax tree, parsed once for all tests."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
 def imported_modules(source: Path, path: Path) -> Iterator[tuple[int, str]]:
@@ -126,24 +126,7 @@ def imported_modules(source: Path, path: Path) -> Iterator[tuple[int, str]]:
     Relative imports are resolved, and so are constant names given to ``import_module``.
     """
     package = (PACKAGE, *path.relative_to(source).parent.parts)
-    yield from imports_in(path.read_text(encoding="utf-8"), package)
-
-
-@functools.cache
-def nodes_of(text: str) -> list[ast.AST]:
-    """All nodes of a module's syntax tree, parsed once for all tests."""
-    return list(ast.walk(ast.parse(text)))
-
-
-def each_once(function: Callable[..., Iterator[_Line]]) -> Callable[..., list[_Line]]:
-    """Keeps the results of a generator, which several tests want."""
-    return functools.cache(lambda *arguments: list(function(*arguments)))
-
-
-@each_once
-def imports_in(text: str, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
-    """(line, name) of the imports in a module of a package, as ``imported_modules``."""
-    for node in nodes_of(text):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -158,86 +141,16 @@ def imports_in(text: str, package: tuple[str, ...]) -> Iterator[tuple[int, str]]
                 yield node.lineno, str(argument.value).lstrip(".")
 
 
-def own_imports(source: Path, path: Path) -> Iterator[tuple[int, str, str]]:
-    """(line, top-level module, dotted name) of every import of this package in a file."""
-    for line, name in imported_modules(source, path):
-        parts = name.split(".")
-        if parts[0] != PACKAGE:
-            continue
-        child = parts[1] if len(parts) > 1 else ROOT
-        is_module = (source / child).is_dir() or (source / f"{child}.py").is_file()
-        yield line, child if is_module else ROOT, name
-
-
-def constants(nodes: list[ast.AST]) -> dict[str, str]:
-    """Name -> text of every assignment of a literal text in a file."""
-    texts = {}
-    for node in nodes:
-        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Constant):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            names = [target.id for target in targets if isinstance(target, ast.Name)]
-            if isinstance(node.value.value, str):
-                texts |= dict.fromkeys(names, node.value.value)
-    return texts
-
-
-def literal(node: ast.AST, texts: Mapping[str, str]) -> str | None:
-    """Text of a string or f-string; names in ``texts`` are filled in, others become spaces."""
-    if isinstance(node, ast.Constant):
-        return node.value if isinstance(node.value, str) else None
-    if not isinstance(node, ast.JoinedStr):
-        return None
-    parts = []
-    for part in node.values:
-        inner = part.value if isinstance(part, ast.FormattedValue) else part
-        text = texts.get(inner.id) if isinstance(inner, ast.Name) else literal(inner, texts)
-        parts.append(" " if text is None else text)
-    return "".join(parts)
-
-
-def imported_by_text(source: Path, path: Path) -> Iterator[tuple[int, str]]:
-    """(line, dotted name) of every text that is the name of a module: ``Entry``, ``files``, tables.
-
-    Text after a part that is known only at run time is left out: ``f"{HERE}.{name}"`` stands for
-    the package ``HERE``. An attribute after ``:`` follows the module as in a dotted name.
-    """
-    package = ".".join((PACKAGE, *path.relative_to(source).parent.parts))
-    for line, text in targets_in(path.read_text(encoding="utf-8"), package):
-        name = text.partition(" ")[0].rstrip(".:").replace(":", ".")
-        child = source.joinpath(*name.split(".")[1:2])
-        if child != source and (child.is_dir() or child.with_suffix(".py").is_file()):
-            yield line, name
-
-
-@each_once
-def targets_in(module: str, package: str) -> Iterator[tuple[int, str]]:
-    """(line, text) of the texts in a module that look like the name of a module."""
-    if PACKAGE not in module and "__package__" not in module:
-        return
-    nodes = nodes_of(module)
-    texts = constants(nodes) | {"__package__": package}
-    for node in nodes:
-        text = literal(node, texts)
-        if text is not None and TARGET.fullmatch(text):
-            yield node.lineno, text
-
-
-def upward_by_text(source: Path) -> dict[str, set[str]]:
-    """File -> modules above its level, or in another wing, that it names in a text."""
-    upward: dict[str, set[str]] = {}
-    for path in modules(source):
-        module = top_level(source, path)
-        for _, name in imported_by_text(source, path):
-            target = name.split(".")[1]
-            other_wing = target != module and {module, target} <= WINGS.keys()
-            if other_wing or LEVELS.get(target, 0) > LEVELS.get(module, 0):
-                where = path.relative_to(source).as_posix()
-                upward.setdefault(where, set()).add(module_of(source, name))
-    return upward
+def imported_by_text(path: Path) -> Iterator[str]:
+    """Dotted names in the texts of a file that may be modules: of ``Entry``, ``files``, tables."""
+    for node in nodes_of(path):
+        text = node.value if isinstance(node, ast.Constant) else None
+        if isinstance(text, str) and TARGET.fullmatch(text):
+            yield text.replace(":", ".")
 
 
 def module_of(source: Path, name: str) -> str:
-    """File or folder that a dotted name begins with, without the name of the package."""
+    """File or folder that a dotted name of the package begins with, without the package's name."""
     parts = name.split(".")[1:]
     while parts and not (
         source.joinpath(*parts).is_dir() or source.joinpath(*parts).with_suffix(".py").is_file()
@@ -246,53 +159,58 @@ def module_of(source: Path, name: str) -> str:
     return ".".join(parts)
 
 
-def stub_homes(source: Path) -> dict[str, str]:
-    """Public name of a package -> module that has it, as the stubs say."""
-    homes = {}
-    for stub in source.rglob("__init__.pyi"):
-        package = ".".join((PACKAGE, *stub.relative_to(source).parent.parts))
-        for _, name in imported_modules(source, stub):
-            homes[f"{package}.{name.rpartition('.')[2]}"] = name
-    return homes
+def upward_by_text(source: Path) -> dict[str, set[str]]:
+    """File -> modules above its level, or in another wing, that it names in a text."""
+    upward: dict[str, set[str]] = {}
+    for path in modules(source):
+        module = top_level(source, path)
+        for name in filter(None, (module_of(source, n) for n in imported_by_text(path))):
+            target = name.split(".")[0]
+            other_wing = target != module and {module, target} <= WINGS.keys()
+            if other_wing or LEVELS.get(target, 0) > LEVELS.get(module, 0):
+                upward.setdefault(path.relative_to(source).as_posix(), set()).add(name)
+    return upward
 
 
 def closure(source: Path, start: str) -> dict[str, int]:
     """Module -> lines of all that a module can import: statements anywhere, and texts.
 
-    A public name of a package leads to the module that has it, a package to its ``__init__``.
-    Imports for type checkers count, since a reader has to follow them too.
+    A public name of a package leads to the module that has it, as its stub says.
     """
-    homes = stub_homes(source)
+    homes = {
+        ".".join((PACKAGE, *stub.relative_to(source).parent.parts, name.rpartition(".")[2])): name
+        for stub in source.rglob("__init__.pyi")
+        for _, name in imported_modules(source, stub)
+    }
     lines: dict[str, int] = {}
     waiting = [start]
     while waiting:
         module = waiting.pop()
-        if module in lines:
-            continue
-        place = source.joinpath(*module.split("."))
-        path = place / f"{ROOT}.py" if place.is_dir() else place.with_suffix(".py")
-        if not path.is_file():
+        path = source.joinpath(*module.split("."))
+        path = path / f"{ROOT}.py" if path.is_dir() else path.with_suffix(".py")
+        if module in lines or not path.is_file():
             continue
         lines[module] = len(path.read_text(encoding="utf-8").splitlines())
-        for _, name in [*imported_modules(source, path), *imported_by_text(source, path)]:
-            if name.startswith(f"{PACKAGE}."):
-                waiting.append(module_of(source, homes.get(name, name)))
+        names = [name for _, name in imported_modules(source, path)] + [*imported_by_text(path)]
+        own = (homes.get(name, name) for name in names if name.startswith(f"{PACKAGE}."))
+        waiting += filter(None, (module_of(source, name) for name in own))
     return lines
 
 
 def level_violations(source: Path) -> list[str]:
     found = []
     for path in modules(source):
-        module = top_level(source, path)
-        where = path.relative_to(source.parent).as_posix()
+        module, where = top_level(source, path), place(source, path)
         if module not in LEVELS:
             found.append(
                 f"{where}: no level for the new top-level module {module!r}; "
                 "give it one in LEVELS here and in docs/explanation/architecture.md"
             )
             continue
-        limit = LEVELS[module]
-        for line, target, name in own_imports(source, path):
+        for line, name in imported_modules(source, path):
+            if name.split(".")[0] != PACKAGE:
+                continue
+            target = module_of(source, name).split(".")[0] or ROOT
             if target != module and {module, target} <= WINGS.keys():
                 found.append(
                     f"{where}:{line}: {module} may not import {target}, another wing; "
@@ -300,39 +218,33 @@ def level_violations(source: Path) -> list[str]:
                 )
             elif path == source / "__init__.pyi" and name == f"{PACKAGE}.{target}":
                 continue  # the package names its subpackages, which it loads when asked for
-            elif target != module and LEVELS.get(target, 0) > limit:
+            elif target != module and LEVELS.get(target, 0) > LEVELS[module]:
                 found.append(
-                    f"{where}:{line}: {module} may import up to level {limit}, "
+                    f"{where}:{line}: {module} may import up to level {LEVELS[module]}, "
                     f"but {target} is at level {LEVELS[target]}; "
                     "import from below, or move what both need down"
                 )
     return found
 
 
-def module_graph(source: Path) -> dict[str, set[str]]:
-    """Module -> the modules of the package that it names in an import, wherever that stands.
+def cycle(source: Path) -> list[str]:
+    """Modules that import each other in a circle, the first one again at the end; else none.
 
     Imports inside functions and below ``TYPE_CHECKING`` count: a reader has to follow them too.
     The packages around an imported module do not: their ``__init__`` only re-exports.
     """
-    graph: dict[str, set[str]] = {}
     files = {}
     for path in modules(source):
         parts = path.relative_to(source.parent).with_suffix("").parts
         files[".".join(parts[:-1] if parts[-1] == ROOT else parts)] = path
+    graph: dict[str, set[str]] = {module: set() for module in files}
     for module, path in files.items():
-        graph[module] = set()
         for _, name in imported_modules(source, path):
             while name and name not in files:
                 name = name.rpartition(".")[0]  # a name in a module, or of another distribution
             graph[module] |= {name} - {"", module}
-    return graph
-
-
-def cycle(source: Path) -> list[str]:
-    """Modules that import each other in a circle, the first one again at the end; else none."""
     try:
-        TopologicalSorter(module_graph(source)).prepare()
+        TopologicalSorter(graph).prepare()
     except CycleError as error:
         return list(error.args[1])[::-1]
     return []
@@ -341,18 +253,18 @@ def cycle(source: Path) -> list[str]:
 def unpickling(source: Path) -> list[str]:
     found = []
     for path in modules(source):
-        where = path.relative_to(source.parent).as_posix()
+        where = place(source, path)
         found += [
             f"{where}:{line}: imports {name}: data files hold no code, nothing unpickles"
             for line, name in imported_modules(source, path)
             if name.split(".")[0] in UNPICKLERS and where not in RESTRICTED
         ]
-        text = path.read_text(encoding="utf-8")
-        for node in nodes_of(text) if "allow_pickle" in text else ():
-            if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
-                off = isinstance(node.value, ast.Constant) and node.value.value is False
-                if not off:
-                    found.append(f"{where}:{node.value.lineno}: allow_pickle must be False")
+        found += [
+            f"{where}:{node.value.lineno}: allow_pickle must be False"
+            for node in nodes_of(path)
+            if isinstance(node, ast.keyword) and node.arg == "allow_pickle"
+            if not (isinstance(node.value, ast.Constant) and node.value.value is False)
+        ]
     return found
 
 
@@ -360,7 +272,7 @@ def from_other_distributions(source: Path) -> list[tuple[str, str]]:
     """(file:line, package) of the imports from the other distributions of the repository."""
     others = {other.name for other in OTHERS} - {source.name}
     return [
-        (f"{path.relative_to(source.parent).as_posix()}:{line}", name.split(".")[0])
+        (f"{place(source, path)}:{line}", name.split(".")[0])
         for path in modules(source)
         for line, name in imported_modules(source, path)
         if name.split(".")[0] in others
@@ -369,31 +281,22 @@ def from_other_distributions(source: Path) -> list[tuple[str, str]]:
 
 def missing_code(source: Path) -> list[str]:
     """Paths given to ``code_digest`` that do not exist (any more)."""
-    found = []
-    for path in modules(source):
-        where = path.relative_to(source.parent).as_posix()
-        text = path.read_text(encoding="utf-8")
-        if "code_digest" not in text and "imported_modules" not in text:
-            continue
-        for node in nodes_of(text):
-            name = isinstance(node, ast.Call) and getattr(node.func, "id", "")
-            if name != "code_digest":
-                continue
-            given = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
-            found += [
-                f"{where}:{node.lineno}: {place!r} is not in the package: results would be used "
-                "again though their code has changed; if it has moved, name its new place"
-                for place in given
-                if isinstance(place, str) and not (source / place).exists()
-            ]
-    return found
+    return [
+        f"{place(source, path)}:{node.lineno}: {given.value!r} is not in the package: results "
+        "would be used again though their code has changed; if it has moved, name its new place"
+        for path in modules(source)
+        for node in nodes_of(path)
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "code_digest"
+        for given in ast.walk(node)
+        if isinstance(given, ast.Constant) and isinstance(given.value, str)
+        if not (source / given.value).exists()
+    ]
 
 
 def misshapen(source: Path) -> list[str]:
     found = []
     for path in modules(source):
-        where = path.relative_to(source.parent).as_posix()
-        count = len(path.read_text(encoding="utf-8").splitlines())
+        where, count = place(source, path), len(path.read_text(encoding="utf-8").splitlines())
         if count > MAX_LINES:
             found.append(f"{where}: {count} lines, more than {MAX_LINES}: split it by concept")
         if DRAWERS & {part.strip("_") for part in path.relative_to(source).with_suffix("").parts}:
@@ -401,28 +304,19 @@ def misshapen(source: Path) -> list[str]:
     return found
 
 
-def test_source_is_where_the_tests_look():
-    assert {"types", "landmarks", "errors"} <= {top_level(SOURCE, p) for p in modules(SOURCE)}
-
-
 def test_modules_import_only_from_their_own_level_or_below():
     assert not level_violations(SOURCE), "\n".join(level_violations(SOURCE))
 
 
-def test_the_package_imports_no_other_distribution_of_the_repository():
-    assert from_other_distributions(SOURCE) == []
-
-
-def test_no_text_of_the_package_names_a_module_of_another_distribution():
-    named = re.compile(rf"({STUDY.name}|{DEVICES.name})\.\w")
+def test_distributions_import_only_those_below_them():
+    imported = {
+        source.name: {name for _, name in from_other_distributions(source)}
+        for source in (SOURCE, *OTHERS)
+    }
+    below = {RESEARCH.name: {STUDY.name}}
+    assert imported == {source.name: below.get(source.name, set()) for source in (SOURCE, *OTHERS)}
+    named = re.compile(rf"({STUDY.name}|{DEVICES.name})\.\w")  # in a text
     assert [p.name for p in modules(SOURCE) if named.search(p.read_text(encoding="utf-8"))] == []
-
-
-def test_only_research_imports_the_study():
-    assert from_other_distributions(DATA_SETS) == []
-    assert from_other_distributions(STUDY) == []
-    assert from_other_distributions(DEVICES) == []
-    assert {name for _, name in from_other_distributions(RESEARCH)} == {STUDY.name}
 
 
 @ALL
@@ -452,21 +346,9 @@ def test_what_a_retargeter_imports_is_small():
 
 
 @ALL
-def test_nothing_unpickles(source):
-    assert not unpickling(source), "\n".join(unpickling(source))
-
-
-@pytest.mark.parametrize("source", [SOURCE, STUDY], ids=lambda path: path.name)
-def test_digests_of_code_name_files_that_exist(source):
-    assert not missing_code(source), "\n".join(missing_code(source))
-
-
-@ALL
-def test_modules_are_small_and_named_after_what_they_hold(source):
-    assert not misshapen(source), "\n".join(misshapen(source))
-
-
-# The checks themselves, on a package that breaks each rule.
+@pytest.mark.parametrize("check", [unpickling, missing_code, misshapen], ids=lambda f: f.__name__)
+def test_code_follows_the_rules(source, check):
+    assert not check(source), "\n".join(check(source))
 
 
 def package(root: Path, files: dict[str, str]) -> Path:
@@ -478,109 +360,44 @@ def package(root: Path, files: dict[str, str]) -> Path:
     return source
 
 
-@pytest.mark.parametrize(
-    ("importer", "statement"),
-    [
-        ("types.py", "from smooth_operator.hands import HandSpec"),
-        ("types.py", "def f():\n    from . import hands"),
-        ("types.py", "import importlib\nimportlib.import_module('smooth_operator.hands.spec')"),
-        ("retargeting/sampling.py", "from ..cli import main"),
-        ("__init__.pyi", "from smooth_operator.teleop.pages import live as live"),
-        ("teleop/loop.py", "from smooth_operator import datasets"),
-    ],
-)
-def test_an_upward_import_is_found(tmp_path, importer, statement):
-    files = {"hands/spec.py": "", "cli.py": "", "teleop/runtime.py": "", "datasets/__init__.py": ""}
-    source = package(tmp_path, files | {importer: statement})
-    found = level_violations(source)
-    assert len(found) == 1, found
-    assert found[0].startswith(f"{PACKAGE}/{importer}:")
-
-
-def test_a_text_that_imports_from_above_is_found(tmp_path):
+def test_each_way_to_break_a_rule_is_found(tmp_path):
     files = {
-        "retargeting/sampling.py": 'X = "smooth_operator.teleop"\nE = Entry(f"{X}.runtime:Loop")',
-        "retargeting/newton.py": '"smooth_operator.retargeting.x", "see smooth_operator.teleop"',
-        "teleop/__init__.py": "",
-        "teleop/runtime.py": "",
-    }
-    upward = upward_by_text(package(tmp_path, files))
-    assert upward.keys() == {"retargeting/sampling.py"}
-    assert upward["retargeting/sampling.py"] <= {"teleop", "teleop.runtime"}
-
-
-def test_the_closure_follows_statements_texts_and_public_names(tmp_path):
-    files = {
-        "retargeting/retargeter.py": "from ..hands import Spec\nA = 'smooth_operator.a:b'",
-        "hands/__init__.py": "",
-        "hands/__init__.pyi": "from smooth_operator.hands.spec import Spec as Spec",
-        "hands/spec.py": "def f():\n    import smooth_operator.c",
-        "hands/other.py": "",
-        "a.py": "",
-        "c.py": "x = 1\ny = 2",
-    }
-    lines = closure(package(tmp_path, files), START)
-    assert lines == {START: 2, "hands.spec": 2, "a": 0, "c": 2}
-
-
-@pytest.mark.parametrize(
-    ("importer", "statement"),
-    [
-        ("hands/mjcf/load.py", "from ..limits import Limits\nfrom ...types import Side"),
-        ("cli.py", "from smooth_operator import __version__\nfrom smooth_operator import teleop"),
-        ("__init__.pyi", "from smooth_operator import teleop as teleop"),
-        ("types.py", "import numpy as np\nfrom hands import spec"),
-    ],
-)
-def test_a_downward_import_passes(tmp_path, importer, statement):
-    files = {
-        "types.py": "",
-        "retargeting/filters.py": "",
-        "retargeting/sbr/method.py": "",
-        "hands/spec.py": "",
-    }
-    files |= {"hands/__init__.py": "", "hands/limits.py": "", "teleop/runtime.py": ""}
-    assert level_violations(package(tmp_path, files | {importer: statement})) == []
-
-
-def test_a_circle_of_imports_is_found(tmp_path):
-    files = {
-        "hands/spec.py": "from smooth_operator.hands import limits",
-        "hands/limits.py": "def f():\n    from smooth_operator.hands.load import Loaded",
-        "hands/load.py": "if TYPE_CHECKING:\n    from .spec import HandSpec",
-    }
-    found = cycle(package(tmp_path, files))
-    assert found[0] == found[-1]
-    assert sorted(found[1:]) == [f"{PACKAGE}.hands.{name}" for name in ("limits", "load", "spec")]
-
-
-def test_a_package_that_re_exports_its_modules_is_no_circle(tmp_path):
-    files = {
-        "hands/__init__.py": "from smooth_operator.hands.spec import HandSpec as HandSpec",
-        "hands/spec.py": "from smooth_operator.hands import limits",
-        "hands/limits.py": "",
-    }
-    assert cycle(package(tmp_path, files)) == []
-    files["hands/limits.py"] = "from smooth_operator.hands import HandSpec"
-    assert len(cycle(package(tmp_path / "face", files))) == 4
-
-
-def test_a_module_without_a_level_is_named(tmp_path):
-    (found,) = level_violations(package(tmp_path, {"gadget.py": ""}))
-    assert "'gadget'" in found
-    assert "LEVELS" in found
-
-
-def test_what_unpickles_has_moved_or_is_misshapen_is_found(tmp_path):
-    loading = "def f():\n    from pickle import load\nnp.load(path, allow_pickle=trusted)"
-    files = {
-        "recording.py": loading,
-        "types.py": "np.load(path, allow_pickle=False)  # never import pickle" + "\n" * 700,
-        "hands/utils.py": 'code_digest("types.py", "moved.py")' + "\n" * 701,
+        "types.py": "def f():\n    from . import hands",
+        "landmarks.py": "from smooth_operator.hands import Hand",
+        "__init__.pyi": "from smooth_operator.teleop import loop as loop",
+        "gadget.py": "",
+        "hands/spec.py": "from ..types import Side\nimport numpy as np",  # a lower level
+        "hands/utils.py": "from pickle import load\n" + "\n" * 701,
+        "teleop/loop.py": "from smooth_operator import datasets\nload(allow_pickle=trusted)",
+        "datasets/__init__.py": 'code_digest("types.py", "moved.py")',
+        "retargeting/smooth.py": 'Entry("smooth_operator.teleop.loop:Loop"), "see smooth_operator"',
     }
     source = package(tmp_path, files)
-    offenders = [
-        [line.split(":")[0].rpartition("/")[2] for line in check(source)]
+    broken = [line.split(":")[0].partition("/")[2] for line in level_violations(source)]
+    assert broken == ["__init__.pyi", "gadget.py", "landmarks.py", "teleop/loop.py", "types.py"]
+    assert upward_by_text(source) == {"retargeting/smooth.py": {"teleop.loop"}}
+    found = [
+        line.split(":")[0].rpartition("/")[2]
         for check in (unpickling, missing_code, misshapen)
+        for line in check(source)
     ]
-    assert offenders == [["recording.py"] * 2, ["utils.py"], ["utils.py"] * 2]
+    assert found == ["utils.py", "loop.py", "__init__.py", "utils.py", "utils.py"]
+
+
+def test_a_circle_of_imports_and_what_a_module_leads_to_are_found(tmp_path):
+    files = {
+        "hands/__init__.pyi": "from smooth_operator.hands.spec import Spec as Spec",
+        "hands/spec.py": "from smooth_operator.hands import limits",
+        "hands/limits.py": "def f():\n    from smooth_operator.hands.load import Loaded",
+        "hands/load.py": "A = 'smooth_operator.landmarks:b'",
+        "landmarks.py": "",
+        "retargeting/retargeter.py": "from ..hands import Spec",
+    }
+    source = package(tmp_path / "line", files)
+    assert cycle(source) == []
+    reached = {"hands.spec", "hands.limits", "hands.load", "landmarks", START}
+    assert closure(source, START).keys() == reached
+    files["hands/load.py"] = "if TYPE_CHECKING:\n    from .spec import HandSpec"
+    found = cycle(package(tmp_path / "circle", files))
+    assert found[0] == found[-1]
+    assert sorted(found[1:]) == [f"{PACKAGE}.hands.{name}" for name in ("limits", "load", "spec")]

@@ -18,7 +18,6 @@ from smooth_operator.benchmark.ranking import (
     best,
     by_tracker,
     overall,
-    sample_text,
 )
 from smooth_operator.benchmark.suite import Row
 from smooth_operator.metrics import METRICS
@@ -56,24 +55,17 @@ def test_posture_and_collision_stand_among_the_papers_columns():
         m.name for m in set(COLUMNS) - set(HEADLINES)
     }
     page = macros().headline(LINES, colors_of(["safe", "close", "still"]))
-    assert "touch" in page
     assert "60.0 %" in page
-    heads = [
-        re.sub("<.*?>", "", cell) for cell in re.findall('<tr class="groups">(.*?)</tr>', page)
-    ]
-    assert heads == ["alllooksgraspingmotionspeedthe paper&#39;s"]
+    (groups,) = re.findall('<tr class="groups">(.*?)</tr>', page)
+    assert re.sub("<.*?>", "", groups) == "alllooksgraspingmotionspeedthe paper&#39;s"
 
 
-def test_a_method_that_collides_is_not_named_for_grasping():
+def test_a_method_that_collides_or_stands_still_is_not_named():
     chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
     assert chosen["pinching and grasping"] == ("safe",)  # close touches more often, and collides
     assert chosen["pointing as the human does"] == ("close",)
+    assert chosen["calm motion that keeps up"] == ("close",)  # still does not keep up
     assert chosen["speed"] == ("still",)
-
-
-def test_a_method_that_stands_still_is_not_named_for_calm_motion():
-    chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
-    assert chosen["calm motion that keeps up"] == ("close",)
 
 
 def test_where_no_method_serves_a_use_the_reason_is_said():
@@ -84,9 +76,6 @@ def test_where_no_method_serves_a_use_the_reason_is_said():
     sentence = ranking.verdict(colliding)
     assert "for pinching and grasping none (every method has more than 5 %" in sentence
     assert "no method reaches a motion preservation of 0.9" in sentence
-
-
-def test_without_a_pinch_no_method_is_named_for_it():
     lines = [line(n, c, 1.0, 0.95, 1e-6, None, 0.0, 0.1, 1.0) for n, c in (("a", 0.9), ("b", 0.8))]
     grasping = ranking.find_uses(lines)[1]
     assert grasping.methods == ()
@@ -95,7 +84,7 @@ def test_without_a_pinch_no_method_is_named_for_it():
 
 def test_the_sentence_names_what_the_table_marks():
     """On random figures: who serves a use is the best of its column, or the better one is named."""
-    for seed in range(200):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         lines = [
             line(
@@ -112,17 +101,9 @@ def test_the_sentence_names_what_the_table_marks():
         ranks = ranking.mean_ranks(lines)
         first = min(ranks, key=lambda name: ranks[name])
         assert ranking.verdict(lines).startswith(first)
-        for use, name in zip(
-            ranking.find_uses(lines),
-            (
-                "finger_extension_error",
-                "pinch_touch_share",
-                "cosine_similarity",
-                "flatness",
-                "latency_ms.p50",
-            ),
-            strict=True,
-        ):
+        judged = ("finger_extension_error", "pinch_touch_share", "cosine_similarity")
+        judged += ("flatness", "latency_ms.p50")
+        for use, name in zip(ranking.find_uses(lines), judged, strict=True):
             marked = {lines[i].method for i in best(lines, METRIC[name])}
             excused = re.findall(r"; (\w) is excluded", use.figures)
             assert not use.methods or set(use.methods) == marked or set(excused) <= marked, seed
@@ -170,7 +151,6 @@ def test_the_mean_is_over_parts_then_recordings_then_trackers():
     values = {one.method: one.values["finger_extension_error"] for one in lines}
     assert values == pytest.approx({"a:p": (0.15 + 0.9) / 2, "b:p": (0.4 + 0.1) / 2})
     assert list(by_tracker(rows)) == ["glove", "headset"]
-    assert sample_text(rows) == "3 recordings in 5 parts: 2 glove, 1 headset"
     assert best(lines, METRIC["finger_extension_error"]) == {1}
     assert ranking.verdict(lines).startswith("b:p has the best mean rank")
     assert "for looks b:p (extension error 0.25" in ranking.verdict(lines)
@@ -236,13 +216,8 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium, tmp_path):
 def test_empty_cells_have_a_footnote():
     def row(recording: str, touch: float | None, share: float | None, status: str = "ok") -> Row:
         metrics = {"pinch_touch_share": touch, "self_collision": {"share": share}}
-        return {
-            "recording": recording,
-            "hand": "bare",
-            "side": "left",
-            "status": status,
-            "metrics": metrics,
-        }
+        names = {"recording": recording, "hand": "bare", "side": "left"}
+        return names | {"status": status, "metrics": metrics}
 
     assert ranking.footnotes([row("a", 0.5, 0.0), row("a", None, 0.0)]) == []
     collision, pinches = ranking.footnotes(

@@ -1,7 +1,7 @@
 """Every command line of the documentation is understood, and those for users are run.
 
-A page's lines run in order, in one folder with small inputs under the names that the page gives;
-trackers and robots are their simulators, and pages are served without waiting for Ctrl-C.
+A page's lines run in order, in one folder with small inputs under the names that the page gives,
+and pages are served without waiting for Ctrl-C.
 """
 
 import itertools
@@ -9,25 +9,157 @@ import re
 import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
 
+import dataset_files
+import numpy as np
 import pytest
-from doc_commands import CommandLine, command_lines
-from doc_machine import (
-    Devices,
-    end_study_when_served,
-    prepare,
-    show_hand_to_camera,
-    write_inputs,
-    write_modules,
-)
+from discovery_hands import make_hand, urdf
 from test_cli_help import commands
 from test_docs import PAGES, PROJECT, README, relative_name
+from test_headset_recordings import avp_lines, hts_lines
 
+from smooth_operator import SyntheticOperator
+from smooth_operator.cli import main
 from smooth_operator.cli.common_options import described
 from smooth_operator.cli.options import EXAMPLES, parse
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.registry import hand_names
 from smooth_operator.teleop.components import SINKS, SOURCES, build_sink, build_source
+
+_BLOCK: Final = re.compile(r"^(?P<fence> *`{3,})bash\n(?P<code>.*?)^(?P=fence) *$", re.M | re.S)
+_COMMAND: Final = re.compile(r"^.*?(?<![\w-])smooth-operator ((?:.*\\\n)*.*)$", re.M)
+_SHELL: Final = {
+    "$((SLURM_ARRAY_TASK_ID + 1))/64": "1/1",
+    "$SLURM_CPUS_PER_TASK": "2",
+}
+"""What the shell of a job puts in place of an expression."""
+
+
+class CommandLine(NamedTuple):
+    """Number of the first line of a command in a page, and the arguments of it."""
+
+    line: int
+    words: list[str]
+
+
+def command_lines(text: str) -> Iterator[CommandLine]:
+    """The command lines in the shell blocks of a page, in order."""
+    for block in _BLOCK.finditer(text):
+        for match in _COMMAND.finditer(block["code"]):
+            at = block.start("code") + match.start()
+            yield CommandLine(text.count("\n", 0, at) + 1, _words(match[1].replace("\\\n", " ")))
+
+
+def _words(command: str) -> list[str]:
+    for expression, value in _SHELL.items():
+        command = command.replace(expression, value)
+    if command.count('"') % 2:  # the command is all that is between two quotes
+        command = command[: command.rindex('"')]
+    words = shlex.split(command, comments=True)
+    end = min((words.index(mark) for mark in ("&&", "|", ">") if mark in words), default=None)
+    return words[:end]
+
+
+_MODULES: Final = {
+    "tracker": """
+from dataclasses import dataclass
+from smooth_operator.teleop import ThreadedSource
+
+@dataclass(eq=False)
+class Tracker(ThreadedSource):
+    port: int = 0
+    label = "my tracker"
+
+    def run(self, running):
+        running.stopping.wait()
+""",
+    "driver": """
+from dataclasses import dataclass
+from smooth_operator.teleop import Sink
+
+@dataclass(eq=False)
+class MySink(Sink):
+    address: str = ""
+    rate: float = 0.0
+    label = "my robot"
+
+    def open(self, hands, config):
+        pass
+
+    def send(self, tick):
+        pass
+
+    def close(self):
+        pass
+""",
+    "hands": """
+from smooth_operator.hands.registry import MODELS
+SPEC = MODELS / "leap_hand.right.toml"
+""",
+    "methods": """
+from smooth_operator.retargeting.presets import PRESETS as BUILT_IN
+MyConfig = BUILT_IN["joint_angle"]["default"]
+PRESETS = {"quick": MyConfig}
+""",
+}
+"""Modules of the package ``mylab``, which pages name as the reader's own."""
+
+
+def write_modules(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Writes the package ``mylab``."""
+    (folder / "mylab").mkdir(exist_ok=True)
+    for name, text in _MODULES.items():
+        (folder / "mylab" / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(folder)
+
+
+def write_inputs(folder: Path, text: str) -> None:
+    """Writes the recordings, data sets and models that a page names."""
+    recording = SyntheticOperator(seed=3, rate_hz=30.0).record(20.0)
+    stamped = {"landmarks": recording.landmarks, "timestamps": recording.stamps, "side": "right"}
+    (folder / "recordings").mkdir()
+    for name in ("glove", "train", "recordings/a"):
+        np.savez(folder / f"{name}.npz", **stamped)
+    if "sample hand.npz" not in text:
+        np.savez(folder / "hand.npz", **stamped)
+    judge = SyntheticOperator(seed=5, rate_hz=30.0).record(10.0)
+    np.savez(folder / "judge.npz", landmarks=judge.landmarks, timestamps=judge.stamps, side="right")
+    np.savez(folder / "video.npz", recording.landmarks[:300])
+    np.save(folder / "video.npy", recording.landmarks[300:])
+    np.save(folder / "landmarks.npy", recording.landmarks * (-1, 1, 1))
+    (folder / "tracking.jsonl").write_text("\n".join(avp_lines()) + "\n")
+    (folder / "hands.hts").write_bytes(b"\n".join(hts_lines(True)) + b"\n")
+    (folder / "my_hand.urdf").write_text(urdf(make_hand(0, turned=False).parts))
+    (folder / "REPOSITORY").mkdir()
+    (folder / "REPOSITORY" / "my_hand.urdf").write_text(urdf(make_hand(0, turned=False).parts))
+    if "egodex" in text:
+        for place in (folder / "egodex", folder / "nfs" / "egodex"):
+            place.mkdir(parents=True)
+            dataset_files.egodex_file(place / "0.hdf5")
+    for draft in re.findall(r"```toml\n(format = 1\nname = .*?)```", text, re.DOTALL):
+        (folder / "draft.toml").write_text(draft)
+
+
+def prepare(words: list[str]) -> None:
+    """Makes what somebody has made before a command: a take, a profile, an added hand."""
+    before: list[list[str]] = []
+    for word in words:
+        take = re.search(r"takes/(take-001[.\w]*)", word)
+        if take and not (path := Path("takes") / take[1]).exists():
+            path.parent.mkdir(exist_ok=True)
+            sink = f"record:{path}"
+            seconds = "3" if words[0] == "edit" else "1"
+            before.append(["teleop", "--sink", sink, "--duration", seconds, "--no-view"])
+        if word == "operator.json" and "--operator" in words and not Path(word).exists():
+            before.append(["calibrate", "glove.npz", "--output", word])
+    if "my_hand" in words and "add" not in words and "my_hand" not in hand_names():
+        before.append(["hands", "add", "my_hand.urdf"])
+    if words[:2] == ["study", "power"] and not Path("my-study").exists():
+        before.append(["study", "new", "my-study", "--from", "draft.toml"])
+    for command in before:
+        assert main(command) == 0, command
+
 
 LINES = {page: lines for page in PAGES if (lines := list(command_lines(page.read_text("utf-8"))))}
 USERS = [
@@ -45,17 +177,16 @@ USERS = [
 QUICK = ("docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""
 
+DEVICES = "leap|dynamixel|ability|allegro|inspire|linker|revo2|wuji|orca"
 ELSEWHERE = {
     r"retarget --dataset": "needs a recorded data set; tests/test_another_hand.py runs it",
     r"dataset dexycb/": "DexYCB and MANO have licences; packages/smooth_hand_datasets/tests does",
     r"teleop --source wave": "the plugin must be installed; tests/test_plugin.py runs it",
-    r"calibrate --source webcam": "asks a person for a minute; tests/test_calibration.py runs it",
-    r"study simulate my-study --operators 18": "takes minutes; research/tests runs it",
-    r"study analyze my-study/simulated": "needs the trials of the line above",
-    r"hardware check dynamixel": "asks about each motor; test_hardware_command.py answers",
-    r"teleop .*dynamixel:": "needs the table of that check; test_dynamixel.py has one",
-    r"teleop .*orca:": "the extra orca is not in the extra test",
-    r"study metrics my-study": "needs takes of its trials; test_study_metrics.py has some",
+    r"convert \S*\.mp4": "needs a video; tests/test_convert.py has one",
+    r"study (?!new|power)": "needs trials; packages/smooth_operator_study/tests has some",
+    r"hardware": "needs a real hand; packages/smooth_operator_devices/tests simulates them",
+    rf"teleop .*--sink ({DEVICES})\b": "needs a real hand, in the same way",
+    r"calibrate --source": "asks a person for a minute; tests/test_calibration.py runs it",
 }
 """Command lines that do not run here, and the reason."""
 
@@ -120,8 +251,8 @@ def test_an_unknown_option_is_found():
 @pytest.fixture
 def machine(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[[CommandLine], list[str]]]:
-    """A machine with recordings and devices; gives the arguments with which a command ends.
+) -> Callable[[CommandLine], list[str]]:
+    """A machine with recordings; gives the arguments with which a command ends.
 
     The sections of a how-to page and of a reference have a folder each.
     """
@@ -130,10 +261,6 @@ def machine(
     monkeypatch.setattr("builtins.input", lambda question="": "q")
     monkeypatch.setattr("webbrowser.open", lambda *_, **__: True)
     monkeypatch.setattr("smooth_operator.teleop.pages.viser_server.PageServer.wait", lambda _: None)
-    if "webcam" in text or "video:" in text:
-        show_hand_to_camera(tmp_path, monkeypatch)
-    end_study_when_served(monkeypatch)
-    devices = Devices(tmp_path, monkeypatch)
 
     def enter(section: int) -> None:
         folder = tmp_path / str(section)
@@ -149,23 +276,19 @@ def machine(
         prepare(line.words)
         words = [word.replace("REPOSITORY/FILE", "REPOSITORY/my_hand.urdf") for word in line.words]
         words = [re.sub("^/nfs/", "nfs/", w).replace("192.168.1.20", "127.0.0.1") for w in words]
+        words = ["synthetic" if re.match("webcam|video:", word) else word for word in words]
         if words[0] == "teleop":
             if "--duration" in words:
                 del words[(at := words.index("--duration")) : at + 2]
             added = ["--duration", "1", "--port", "0", "--no-browser"]
         elif words[0] in ("view", "demo") or words[:2] == ["hands", "show"]:
             added = ["--port", "0", "--no-browser"]
-        elif words[:2] == ["hardware", "monitor"]:
-            added = ["--seconds", "0.3"]
         elif words[:2] == ["study", "power"]:
             added = ["--studies", "2"]
-        elif words[:2] == ["study", "run"]:
-            added = ["--port", "0"]
-        elif words[:2] in (["hands", "remove"], ["study", "erase"]):
+        elif words[:2] == ["hands", "remove"]:
             added = ["--yes"]
         else:
             added = []
-        return [devices.put(word) for word in words] + added
+        return words + added
 
-    yield arguments
-    devices.close()
+    return arguments

@@ -23,19 +23,12 @@ SOURCE = PROJECT / "src" / "smooth_operator"
 RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
 STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
 DEVICES = PROJECT / "packages" / "smooth_operator_devices" / "smooth_operator_devices"
-OTHER_NAMES = {
-    "smooth_operator.json",  # a file of data sets
-    "smooth_operator.method",
-    "smooth_operator.origin",  # metadata records of the log
-    "smooth_operator.sources",
-    "smooth_operator.sinks",
-    "smooth_operator.readers",  # entry points
-    "smooth_operator.commands",
-    "smooth_operator.methods",
-    "smooth_operator.feedbacks",
-    "smooth_operator.writers",
-}
 """Names that are no modules."""
+NO_MODULES = {
+    *("json", "method", "origin"),  # a file of data sets, metadata records of the log
+    *("sources", "sinks", "readers", "commands", "methods", "feedbacks", "writers"),  # entry points
+}
+"""Second parts of names that are no modules."""
 SKIP = "<!-- no-test -->"
 FENCE = re.compile(r"^(?P<fence>`{3,}|~{3,})(?P<language>[\w+-]*)")
 
@@ -64,6 +57,14 @@ def runnable(page: Path) -> list[tuple[int, str]]:
     return list(python_blocks(page.read_text(encoding="utf-8")))
 
 
+def test_blocks_are_found_in_order_and_skipped_where_marked():
+    text = (
+        f"```python\na\n```\n{SKIP}\n\n```python\nb\n```\n```bash\nc\n```\n````python\n```\n````\n"
+    )
+    assert list(python_blocks(text)) == [(2, "a"), (13, "```")]
+    assert runnable(README), "README.md needs a ```python block: from landmarks to a command"
+
+
 @pytest.mark.parametrize("page", list(filter(runnable, PAGES)), ids=relative_name)
 def test_python_blocks_run(page, tmp_path, monkeypatch):
     """In the order of the page, in one namespace, in an empty folder."""
@@ -76,33 +77,50 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
         exec(compile(padded, str(page), "exec", dont_inherit=True), namespace)
 
 
-def test_readme_shows_python_that_runs():
-    assert runnable(README), "README.md needs a ```python block: from landmarks to a command"
-
-
-def test_readme_gives_the_test_command_that_ci_runs():
+def test_commands_of_the_readme_are_those_of_ci_home_and_tutorial():
+    readme = README.read_text(encoding="utf-8")
     (command,) = re.findall(
         r"^ *(python3 -m venv .*-m pytest\b.*?)(?: \|\| exit)?$",
         (PROJECT / ".ci" / "run").read_text(encoding="utf-8"),
         re.MULTILINE,
     )
-    assert command in README.read_text(encoding="utf-8"), f"README.md does not give: {command}"
+    assert command in readme, f"README.md does not give: {command}"
+    install = re.compile(r"^python3 -m venv .*smooth-operator demo$", re.MULTILINE)
+    for page in ("index.md", "tutorials/first-steps.md"):
+        text = (PROJECT / "docs" / page).read_text(encoding="utf-8")
+        assert install.findall(text) == install.findall(readme) != []
 
 
-@pytest.mark.parametrize("page", ["index.md", "tutorials/first-steps.md"])
-def test_home_and_tutorial_install_as_the_readme_does(page):
-    commands = re.compile(r"^python3 -m venv .*smooth-operator demo$", re.MULTILINE)
-    (command,) = commands.findall(README.read_text(encoding="utf-8"))
-    text = (PROJECT / "docs" / page).read_text(encoding="utf-8")
-    assert commands.findall(text) == [command]
+@pytest.mark.parametrize(
+    "page", [*PAGES, PROJECT / "CONTRIBUTING.md", PROJECT / "SECURITY.md"], ids=relative_name
+)
+def test_what_a_page_names_exists(page):
+    """Links into the project, dotted names of the packages, and paths of Python files."""
+    text = page.read_text(encoding="utf-8")
+    prose = re.sub(r"^(`{3,}).*?^\1", "", text, flags=re.M | re.S)
+    targets = re.findall(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"", prose)
+    links = ["".join(target).split("#")[0] for target in targets]
+    local = [link for link in links if not re.match(r"[a-z]+:|$", link)]
+    absent = [link for link in local if not (page.parent / link).exists()]
+    named = re.findall(r"\bsmooth_operator(?:_research|_study|_devices)?(?:\.(?!md\b)\w+)+", text)
+    own = {name for name in named if name.split(".")[1] not in NO_MODULES}
+    absent += [name for name in sorted(own) if not resolves(name)]
+    paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
+    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, STUDY, DEVICES)
+    absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
+    assert absent == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative_name)
-def test_links_into_the_project_exist(page):
-    text = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
-    targets = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r"(?:src|href)=\"([^\"]+)\"", text)
-    paths = [t.split("#")[0] for t in targets if not re.match(r"[a-z]+:|#", t)]
-    assert [path for path in paths if not (page.parent / path).exists()] == []
+def test_sections_with_figures_name_their_command(page):
+    """A section with three rows of decimals or more says which command or program prints them."""
+    command = re.compile(
+        r"smooth-operator \w|python (-m|research/benchmarks)|`[\w/]+\.py`|smooth_operator_research"
+    )
+    decimals = re.compile(r"^\|.*\d\.\d.*\d\.\d", re.MULTILINE)
+    sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    figures = [text for text in sections if len(decimals.findall(text)) >= 3]
+    assert [text.splitlines()[0] for text in figures if not command.search(text)] == []
 
 
 def test_landmark_table_is_the_code():
@@ -155,35 +173,6 @@ def test_level_table_is_the_test_of_imports():
     assert packages - found.keys() == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative_name)
-def test_names_of_modules_and_files_exist(page):
-    """Dotted names of the package, and paths of its Python files."""
-    text = page.read_text(encoding="utf-8")
-    named = re.findall(r"\bsmooth_operator(?:_research|_study|_devices)?(?:\.(?!md\b)\w+)+", text)
-    dotted = set(named) - OTHER_NAMES
-    absent = [name for name in sorted(dotted) if not resolves(name)]
-    paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
-    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, STUDY, DEVICES)
-    absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
-    assert absent == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=relative_name)
-def test_sections_with_figures_name_their_command(page):
-    """A section with three rows of decimals or more says which command or program prints them."""
-    command = re.compile(
-        r"smooth-operator \w|python (-m|research/benchmarks)|`[\w/]+\.py`|smooth_operator_research"
-    )
-    decimals = re.compile(r"^\|.*\d\.\d.*\d\.\d", re.MULTILINE)
-    sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    silent = [
-        text.splitlines()[0]
-        for text in sections
-        if len(decimals.findall(text)) >= 3 and not command.search(text)
-    ]
-    assert silent == []
-
-
 def resolves(name: str) -> bool:
     """Whether a dotted name is a module, or an attribute of one."""
     parts = name.split(".")
@@ -198,36 +187,6 @@ def resolves(name: str) -> bool:
             return True
         return all(hasattr(found, parts[end]) for _ in parts[end : end + 1])
     return False
-
-
-PAGE = """
-```python
-a = 1
-```
-<!-- no-test -->
-
-```python
-a = skipped
-```
-```bash
-not python
-```
-Text.
-````python
-text = '''
-```python
-'''
-````
-"""
-
-
-def test_blocks_are_found_in_order_and_skipped_where_marked():
-    assert list(python_blocks(PAGE)) == [(3, "a = 1"), (15, "text = '''\n```python\n'''")]
-
-
-def test_a_mark_skips_only_the_next_block():
-    text = f"{SKIP}\n```python\na\n```\n```python\nb\n```\n"
-    assert [code for _, code in python_blocks(text)] == ["b"]
 
 
 OWN_NAMES = r"smooth[-_](?:retargeting|operator|hand)(?!-\*\.whl)|lerobot_\w+"
@@ -245,14 +204,14 @@ INSTALLS = [
 ]
 
 
-@pytest.mark.parametrize("file", INSTALLS, ids=relative_name)
-def test_all_texts_install_from_the_clone(file):
+def test_all_texts_install_from_the_clone():
     """None of the distributions is published; whoever takes a name could install anything.
 
     The name alone is in ``install_command``, for those who have it installed from a wheel.
     """
-    published = rf"pip install\b[^\n`]*(?<![./\w])(?:{OWN_NAMES})"
-    assert re.findall(published, file.read_text(encoding="utf-8")) == []
+    published = re.compile(rf"pip install\b[^\n`]*(?<![./\w])(?:{OWN_NAMES})")
+    texts = {relative_name(file): file.read_text(encoding="utf-8") for file in INSTALLS}
+    assert [name for name, text in texts.items() if published.search(text)] == []
 
 
 def test_folders_and_extras_of_install_lines_exist():

@@ -28,36 +28,26 @@ INTERNAL = {"joint_ranges.py": {"smooth_operator.cli.common_options.Common"}}
 def not_public(source: str) -> Iterator[str]:
     """Names that a program imports from the package and that are not public.
 
-    Public are the packages with a list of names, these names, and what is reached as an attribute
-    of such a package: ``import smooth_operator.teleop as teleop; teleop.TeleopLoop``.
+    Public are the packages with a list of names, and these names.
     """
-    tree = ast.parse(source)
-    packages: dict[str, str] = {}
-    for node in ast.walk(tree):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                if alias.name.split(".")[0] == "smooth_operator":
-                    packages[alias.asname or alias.name] = alias.name
-                    if not is_public(alias.name):
-                        yield alias.name
+            names = [(alias.name, "") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            module = node.module or ""
-            if module.split(".")[0] == "smooth_operator":
-                names = [alias.name for alias in node.names]
-                yield from (f"{module}.{n}" for n in names if not is_public(module, n))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute):
-            package = packages.get(ast.unparse(node.value))
-            if package and not is_public(package, node.attr):
-                yield f"{package}.{node.attr}"
+            names = [(node.module or "", alias.name) for alias in node.names]
+        else:
+            continue
+        for module, name in names:
+            if module.split(".")[0] == "smooth_operator" and not is_public(module, name):
+                yield f"{module}.{name}".rstrip(".")
 
 
-def is_public(module: str, name: str | None = None) -> bool:
-    if name and f"{module}.{name}" in {*packages(), *PUBLIC_MODULES}:
+def is_public(module: str, name: str) -> bool:
+    if f"{module}.{name}" in {*packages(), *PUBLIC_MODULES}:
         return True
     if module not in {"smooth_operator", *packages(), *PUBLIC_MODULES}:
         return False
-    return name is None or name in importlib.import_module(module).__all__
+    return not name or name in importlib.import_module(module).__all__
 
 
 @functools.cache
@@ -66,11 +56,6 @@ def packages() -> list[str]:
     package = importlib.import_module("smooth_operator")
     stub = lazy_names.stub_imports(str(Path(package.__file__ or "").with_suffix(".pyi")))
     return [f"smooth_operator.{name}" for name, home in stub.items() if home == "smooth_operator"]
-
-
-def test_the_examples_are_numbered():
-    numbers = [int(path.name.split("_")[0]) for path in EXAMPLES]
-    assert numbers == list(range(1, 12))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -1,16 +1,14 @@
 """The page of one hand, in a Chromium: a slider for every joint, and they move it."""
 
-import contextlib
-import socket
-import threading
+import sys
 from dataclasses import replace
 from typing import Any
-from urllib.parse import urlparse
 
 import numpy as np
 import pytest
 from browser_page import changed, nameless, new_page, settled
 from compact_hands import MADE
+from hostile_texts import ATTACK, guarded_page, hostile_hand
 from live_time import until as eventually
 
 from smooth_operator.hands.capsules import hand_capsules
@@ -21,15 +19,6 @@ from smooth_operator.teleop.pages.hand_view import HandView
 
 WIDTH, HEIGHT = 700, 480
 SHOWN = 400  # the panel is to the right of this [px]
-
-
-def listening(host: str, port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex((host, port)) == 0
-
-
-def position(slider: Any) -> float:
-    return float(slider.get_attribute("aria-valuenow") or "nan")
 
 
 @pytest.mark.parametrize(
@@ -60,15 +49,14 @@ def test_a_shape_without_a_surface_is_not_drawn(tmp_path):
     assert set(HandView(hand, simple=True).meshes) == set(HandView(whole, simple=True).meshes)
 
 
+def position(slider: Any) -> float:
+    return float(slider.get_attribute("aria-valuenow") or "nan")
+
+
 @pytest.mark.weekly
 @pytest.mark.browser
-@pytest.mark.parametrize(
-    ("name", "side"),
-    [("inspire_hand", "left"), ("allegro_hand", "right")],
-)
-def test_a_slider_moves_its_joint_and_the_hand_on_the_page(chromium, name, side):
-    before = set(threading.enumerate())
-    hand = load_hand(name, side)
+def test_a_slider_moves_its_joint_and_the_hand_on_the_page(chromium):
+    hand = load_hand("inspire_hand", "left")  # it has joints that follow others
     with HandPage(hand, "what was found", port=0) as served:
         # software rendering takes 5 s to prepare the reflections
         served._server.scene.configure_environment_map(None)
@@ -77,7 +65,7 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(chromium, name, side)
         # the warning about software rendering would stand before the hand
         page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
         page.get_by_text("what was found").wait_for()
-        assert page.get_by_text(f"{side} hand", exact=False).first.is_visible()
+        assert page.get_by_text("left hand", exact=False).first.is_visible()
         for joint in hand.joint_names:
             assert page.get_by_text(joint, exact=True).count() == 1, joint
         # not by role: the knob of one that can't be moved is not drawn
@@ -100,67 +88,35 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(chromium, name, side)
             knob = sliders.nth(at)
             eventually(lambda k=knob, v=every[joint]: abs(position(k) - v) < 0.02)
             assert knob.get_attribute("aria-disabled") == "true"
-        if followers:
-            assert np.abs(every - hand.full_configuration(hand.neutral))[followers].max() > 0.1
-
-        # There and back again, until the pictures before and after are alike: at first the camera
-        # still comes to rest, and parts of the scene come one after the other.
-        neutral = page.get_by_role("button", name="Neutral pose")
-        for _ in range(8):
-            neutral.click()
-            eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
-            page.wait_for_timeout(500)
-            rest = settled(page, SHOWN, HEIGHT)
-            sliders.nth(moved).press("End")
-            eventually(lambda: np.isclose(served.joint_positions[moved], high, atol=0.02))
-            settled(page, SHOWN, HEIGHT, lambda p, rest=rest: changed(p, rest) > 0.002)
-            neutral.click()
-            eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
-            with contextlib.suppress(AssertionError):
-                settled(page, SHOWN, HEIGHT, lambda p, rest=rest: changed(p, rest) < 0.001, 6.0)
-                break
-        else:
-            raise AssertionError("the hand on the page does not come back to where it was")
+        assert np.abs(every - hand.full_configuration(hand.neutral))[followers].max() > 0.1
+        page.get_by_role("button", name="Neutral pose").click()
+        eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
+        rest = settled(page, SHOWN, HEIGHT)
         page.get_by_label("shape", exact=True).uncheck()
         nodes = served._robot.shown.first.nodes.values()
         eventually(lambda nodes=nodes: not any(node.visible for node in nodes))
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.01)
         assert problems == []
         page.close()
-        address = urlparse(served.url)
-        assert address.hostname == "127.0.0.1"
-        assert listening(address.hostname, address.port)
-    assert not listening(address.hostname, address.port)
-    eventually(lambda: not {t for t in threading.enumerate() if not t.daemon} - before)
 
 
 @pytest.mark.browser
-def test_a_description_is_shown_and_never_run(chromium):
-    hand = load_hand("allegro_hand")
-    attacks = (
-        '<iframe srcdoc="<script>parent.__pwned=1</script>"></iframe>',
-        '<img src="http://elsewhere.example/x.png">',
-        "{globalThis.__pwned = 2}",
-    )
-    hand = replace(hand, spec=replace(hand.spec, source=" ".join(attacks)))
-    with HandPage(hand, "export const a = (globalThis.__pwned = 3)", port=0) as served:
-        served._server.scene.configure_environment_map(None)
-        page, problems = new_page(chromium, WIDTH, HEIGHT)
-        asked: list[str] = []
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(served.url)
-        for text in (*attacks, "export const a = (globalThis.__pwned = 3)"):
-            page.get_by_text(text).wait_for()
-        assert page.evaluate("window.__pwned") is None
-        assert page.locator("iframe").count() == 0
-        assert not [url for url in asked if "elsewhere" in url]
-        # the policy holds as well, and viser needs nothing that it forbids
-        assert not problems
-        eventually(lambda: not nameless(page))
-        assert page.get_by_role("slider", name="ffj0").count() == 1
-        folders = [page.get_by_text(finger, exact=True) for finger in hand.fingers]
-        assert [each.count() for each in folders] == [1] * len(hand.fingers)
-        refused = "fetch('http://elsewhere.example/').then(() => 'sent', (e) => 'refused')"
-        assert page.evaluate(refused) == "refused"
-        assert any("Content Security Policy" in problem for problem in problems)
-        page.close()
+@pytest.mark.skipif(sys.platform == "win32", reason="names of files can't hold markup")
+def test_names_and_texts_of_a_hand_are_shown_and_never_run(chromium, tmp_path):
+    hand = load_hand(hostile_hand(tmp_path / ATTACK))
+    texts = ('<iframe srcdoc="<script>parent.__pwned=1</script>">', "export const a = (b = 3)")
+    hand = replace(hand, spec=replace(hand.spec, source=texts[0]))
+    for description in (ATTACK, texts[1]):
+        with HandPage(hand, description, port=0) as served, guarded_page(chromium) as page:
+            served._server.scene.configure_environment_map(None)
+            asked: list[str] = []
+            page.on("request", lambda request, asked=asked: asked.append(request.url))
+            page.goto(served.url)
+            for text in (description, texts[0]):
+                page.get_by_text(text, exact=True).first.wait_for()
+            for joint in hand.joint_names:
+                assert page.get_by_text(joint, exact=True).count() == 1
+                assert page.get_by_role("slider", name=joint).count() == 1
+            assert page.locator("iframe").count() == 0
+            eventually(lambda page=page: not nameless(page))
+            assert all(url.startswith((served.url, "data:", "blob:", "ws:")) for url in asked)

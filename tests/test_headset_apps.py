@@ -60,6 +60,8 @@ def check(frame: HandFrame, world: str) -> None:
     if world == "pico":
         assert (np.abs(frame.orientations @ pose[3:]) > 1 - 1e-6).all()
     assert frame.valid.all()
+    if frame.forearm is not None:  # the Vision Pro sees it
+        np.testing.assert_allclose(frame.forearm, [1.0, 0.0, 0.0], atol=1e-6)
     limits = [1e-4, 3e-3] if world == "hts" else 2e-6
     assert (separation(frame.T_world_wrist, pose) < limits).all()
     assert frame.world == world
@@ -91,6 +93,9 @@ def avp(move: float = 0.0, forearm: bool = True) -> dict[Side, Any]:
     }
 
 
+UPDATE = app.avp_update(avp())
+
+
 def fed(data: bytes, hands: HtsHands | None = None, received: float = 0.0) -> list[HandFrame]:
     hands = hands or HtsHands()
     frames = [hands.add(parse_line(line), received) for line in data.split(b"\n")]
@@ -98,58 +103,39 @@ def fed(data: bytes, hands: HtsHands | None = None, received: float = 0.0) -> li
 
 
 @pytest.mark.parametrize(
-    ("world", "read"),
-    [
-        ("hts", lambda: fed(hts("left") + b"\n" + hts("right"))),
-        ("hts", lambda: fed((hts("left") + b"\n" + hts("right")).replace(b".", b","))),
-        ("pico", lambda: read_packet(pico()).frames),
-        ("pico", lambda: read_packet(pico(nested=False)).frames),
-        ("avp", lambda: read_hands(app.avp_update(avp()), 3.0)),
-        ("avp", lambda: read_hands(app.avp_update(avp(forearm=False)), 3.0)),
-    ],
-    ids=["hts", "hts with decimal commas", "pico", "pico, object", "avp", "avp without forearm"],
+    ("name", "read"),
+    {
+        "hts": lambda: fed(hts("left") + b"\n" + hts("right")),
+        "hts with decimal commas": lambda: fed(
+            (hts("left") + b"\n" + hts("right")).replace(b".", b",")
+        ),
+        "pico": lambda: read_packet(pico()).frames,
+        "pico, object": lambda: read_packet(pico(nested=False)).frames,
+        "avp": lambda: read_hands(UPDATE, 3.0),
+        "avp of a later version": lambda: read_hands(
+            UPDATE + b"\x20\x07\x29" + struct.pack("<d", 1.0), 3.0
+        ),
+        "avp without forearm": lambda: read_hands(app.avp_update(avp(forearm=False)), 3.0),
+    }.items(),
 )
-def test_both_hands_in_the_conventions_of_the_project(world, read):
-    frames = read()
+def test_both_hands_in_the_conventions_of_the_project(name, read):
+    frames, world = read(), name.split()[0].strip(",")
     assert [frame.side for frame in frames] == ["left", "right"]
     stamps = {"hts": None, "pico": pytest.approx(STAMP / 1e9, abs=3e-7), "avp": 3.0}
     for frame in frames:
         check(frame, world)
         assert frame.stamp == stamps[world]
+        assert (frame.forearm is not None) == (name.startswith("avp") and "without" not in name)
 
 
-def test_the_vision_pro_sees_the_forearm():
-    for frame in read_hands(app.avp_update(avp()), 3.0):
-        np.testing.assert_allclose(frame.forearm, [1.0, 0.0, 0.0], atol=1e-6)
-    assert all(f.forearm is None for f in read_hands(app.avp_update(avp(forearm=False)), 3.0))
-
-
-def test_the_bytes_of_the_apps():
+def test_messages_without_hands_and_joints_that_the_headset_does_not_have():
+    other = app.pico_packet(0x6D, b'{"functionName": "timeTest", "value": "1"}')
+    for silent in (other, app.pico_packet(0x19, b"PA9410|-1"), app.pico_packet(0x6C, b"")):
+        assert read_packet(silent).frames == ()
     points = np.zeros((21, 3))
     points[1], points[9] = (0.05, 0.03, -0.01), (0.09, 0.0, 0.0)
-    data = app.hts_packet("right", LEVEL, points)
-    wrist, rest = data.split(b"\n")
-    assert wrist == b"Right wrist:, 0.2500, 1.0000, 0.5000, 0.000, -0.000, -0.000, 1.000"
-    assert rest.startswith(b"Right landmarks:, -0.0000, 0.0000, 0.0000, -0.0300, -0.0100, 0.0500, ")
-    (frame,) = fed(data)
-    np.testing.assert_allclose(frame.T_world_wrist, LEVEL)
-    # joints at 0 0 0 are those that the headset does not have
-    assert frame.valid.tolist() == [k in (0, 1, 9) for k in range(21)]
-
-    packet = app.pico_packet(0x19, b"PA9410|-1", 1)
-    assert packet == b"\x3f\x19\x09\x00\x00\x00PA9410|-1\x01\x00\x00\x00\x00\x00\x00\x00\xa5"
-    other = app.pico_packet(0x6D, b'{"functionName": "timeTest", "value": "1"}')
-    for silent in (packet, other, app.pico_packet(0x6C, b""), app.pico_packet(0x23, b"")):
-        assert read_packet(silent).frames == ()
-
-    assert app.avp_matrix(app.transform(np.eye(3), np.array([0.5, 0.0, -2.0]))) == (
-        b"\x0d\x00\x00\x80\x3f"
-        b"\x25\x00\x00\x00\x3f"  # m00 = 1, m03 = 0.5
-        b"\x35\x00\x00\x80\x3f"  # m11 = 1
-        b"\x5d\x00\x00\x80\x3f"
-        b"\x65\x00\x00\x00\xc0"  # m22 = 1, m23 = -2
-        b"\x85\x01\x00\x00\x80\x3f"  # m33 = 1
-    )
+    (frame,) = fed(app.hts_packet("right", LEVEL, points))
+    assert frame.valid.tolist() == [k in (0, 1, 9) for k in range(21)]  # the others are at 0 0 0
 
 
 def test_an_independent_reader_of_hts_finds_the_same_numbers():
@@ -252,7 +238,6 @@ def in_millimetres() -> bytes:
 
 
 BAD_JOINTS = [{}, {"p": "1,2,3"}, {"p": "a,b"}, {"p": 1}, {"p": "0", "s": []}, 7]
-UPDATE = app.avp_update(avp())
 
 
 @pytest.mark.parametrize(
@@ -264,7 +249,6 @@ UPDATE = app.avp_update(avp())
         (fed, b"Right wrist:, 1_0, 2, 3, 0, 0, 0, 1", "one is '1_0'"),
         (fed, b"Right elbow:, 1", "must begin with"),
         (fed, b"Head wrist:, 1, 2, 3, 0, 0, 0, 1", "must begin with"),
-        (fed, b'{"landmarks": []}', "must begin with"),
         (fed, b"\xff\xfe\x00", "must begin with"),
         (fed, b"Right wrist:" + b", 1" * 3000, "too long"),
         (fed, b"Right landmarks:" + b", 100" * 62 + b", 7", "metres"),
@@ -272,25 +256,12 @@ UPDATE = app.avp_update(avp())
         (read_packet, value("[1]"), "'value' must be an object"),
         (read_packet, value('{"Hand": 3}'), "'Hand' must be an object"),
         (read_packet, value('{"Hand": {"leftHand": {}}}'), "must have 26"),
-        (
-            read_packet,
-            value('{"Hand": {"leftHand": {"HandJointLocations": [1, 2]}}}'),
-            "must have 26.*not 2",
-        ),
-        (read_packet, value('{"timeStampNs": "x"}'), "nanoseconds"),
         (read_packet, value('{"timeStampNs": 1e300}'), "nanoseconds"),
         *((read_packet, with_joint(joint), "a joint of 'leftHand'") for joint in BAD_JOINTS),
         (read_hands, UPDATE[:-3], "truncated"),
-        (read_hands, UPDATE[:500], "truncated"),
         (read_hands, b"\xff" * 40, "damaged"),
         (read_hands, b"\x0b", "not a HandUpdate"),
-        (read_hands, b"\x00\x00", "not a HandUpdate"),
         (read_hands, b"x" * 70_000, "too long"),
-        (
-            read_hands,
-            app.avp_update({"left": (np.eye(4), np.stack([np.eye(4)] * 24))}),
-            "25 or 27 joints",
-        ),
         (read_hands, app.avp_update({"left": (np.eye(4), np.stack([np.eye(4)] * 65))}), "not 65"),
         (read_hands, in_millimetres(), "millimetres"),
     ],
@@ -298,10 +269,6 @@ UPDATE = app.avp_update(avp())
 def test_a_damaged_message_says_what_is_wrong(read, data, words):
     with pytest.raises(RecordingError, match=words):
         read(data)
-
-
-def test_fields_of_a_later_version_of_tracking_streamer_are_skipped():
-    assert len(read_hands(UPDATE + b"\x20\x07" + b"\x29" + struct.pack("<d", 1.0))) == 2
 
 
 def hts_mutants() -> st.SearchStrategy[bytes]:
@@ -342,18 +309,6 @@ def test_no_message_is_a_crash(mutants, read):
     assert all(np.isfinite(frame.landmarks[frame.valid]).all() for frame in frames)
 
 
-def test_packets_are_taken_out_of_any_pieces():
-    one, two = app.pico_packet(0x23, b"SN"), app.pico_tracking({}, STAMP)
-    stream = one + two + one
-    for size in (1, 7, 50, len(stream)):
-        buffer, packets = bytearray(), []
-        for at in range(0, len(stream), size):
-            buffer += stream[at : at + size]
-            packets += split_packets(buffer)
-        assert packets == [one, two, one]
-        assert not buffer
-
-
 @contextlib.contextmanager
 def started(text: str) -> Iterator[tuple[Any, Kept, list[tuple[str, int]]]]:
     """A source, its mailbox, and the addresses at which it listens."""
@@ -374,9 +329,9 @@ def rights(mailbox: Kept) -> list[Any]:
     return [arrival for arrival in mailbox.all if arrival.frame.side == "right"]
 
 
-def test_hts_over_udp():
+def test_hts_over_udp_and_over_tcp_at_once():
     with (
-        started("hts:port=0,transport=udp") as (source, mailbox, (where,)),
+        started("hts:port=0") as (source, mailbox, (where, tcp)),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
     ):
         one.sendto(HEAD, where)
@@ -386,11 +341,13 @@ def test_hts_over_udp():
         one.sendto(b"Right wrist:, 1, 2", where)
         until(lambda: "could not be read" in source.health().detail)
         until(lambda: len(mailbox.all) == 3)
+        with dial(tcp) as other:
+            other.sendall(hts("left") + b"\n" + b"x" * 200_000)  # a line that never ends
+            until(lambda: len(mailbox.all) == 4)
+            until(lambda: "too long" in source.health().detail)
         check(mailbox.all[0].frame, "hts")
         check(mailbox.all[2].frame, "hts")
         assert all(arrival.stamp == arrival.received for arrival in mailbox.all)
-        assert "1 of 7 messages" in source.health().detail
-        assert "7 numbers, not 2" in source.health().detail
 
 
 def test_over_tcp_each_hand_of_hts_has_a_connection_and_may_come_back():
@@ -416,18 +373,6 @@ def test_over_tcp_each_hand_of_hts_has_a_connection_and_may_come_back():
         until(lambda: mailbox.received_of["left"] == 2)
         for one in (right, left, head, again):
             one.close()
-
-
-def test_connections_that_never_end_make_room():
-    with started("hts:port=0,transport=tcp") as (source, mailbox, (where,)):
-        idle = [dial(where) for _ in range(12)]
-        with dial(where) as one:
-            one.sendall(hts("right") + b"\n")
-            until(lambda: mailbox.received == 1)
-            one.sendall(b"x" * 200_000)  # no line ends
-            until(lambda: "too long" in source.health().detail)
-        for each in idle:
-            each.close()
 
 
 def test_connections_that_say_nothing_do_not_push_a_headset_out():
@@ -480,15 +425,15 @@ def test_a_second_headset_is_not_used_while_the_first_sends():
     assert len(read((pico(), b"192.168.1.5", b"2"), 0.1)) == 2
 
 
-def test_one_source_hears_both_protocols():
-    with started("hts:port=0") as (source, mailbox, (udp, tcp)):
-        assert source.health().detail.endswith("for Wi-Fi use hts:0.0.0.0")
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-            one.sendto(hts("right"), udp)
-            until(lambda: mailbox.received == 1)
-        with dial(tcp) as one:
-            one.sendall(hts("left") + b"\n")
-            until(lambda: mailbox.received == 2)
+def test_pico_packets_are_taken_out_of_any_pieces():
+    one, two = app.pico_packet(0x23, b"SN"), app.pico_tracking({}, STAMP)
+    stream = one + two + one
+    for size in (1, 50, len(stream)):
+        buffer, packets = bytearray(), []
+        for at in range(0, len(stream), size):
+            buffer += stream[at : at + size]
+            packets += split_packets(buffer)
+        assert (packets, buffer) == ([one, two, one], b"")
 
 
 def test_a_pico_headset_connects_repeats_itself_and_comes_back():
@@ -508,15 +453,10 @@ def test_a_pico_headset_connects_repeats_itself_and_comes_back():
         stamps = [round(arrival.stamp - STAMP / 1e9, 3) for arrival in rights(mailbox)]
         assert stamps == [0.0, 0.014, 5.0]
         check(rights(mailbox)[0].frame, "pico")
-
-
-def test_a_frame_without_a_stamp_is_of_the_time_of_receipt():
-    with started("pico:port=0,side=right") as (source, mailbox, (where,)):
         with dial(where) as headset:
-            headset.sendall(pico(stamp=None))
-            until(lambda: mailbox.received == 1)  # the right hand alone
-        assert mailbox.all[0].stamp == mailbox.all[0].received
-        assert source.health().state == "running"
+            headset.sendall(pico(0.003, stamp=None))
+            until(lambda: mailbox.received_of["right"] == 4)
+        assert rights(mailbox)[3].stamp == rights(mailbox)[3].received
 
 
 class Headset:
@@ -564,7 +504,6 @@ class Headset:
 
 @contextlib.contextmanager
 def connected(port: int) -> Iterator[tuple[AvpSource, Kept]]:
-    pytest.importorskip("grpc", reason="grpcio (the extra avp) is not installed")
     source, mailbox = build_source(f"avp:127.0.0.1,port={port}"), Kept()
     source.start(mailbox)
     try:
@@ -591,6 +530,7 @@ def test_a_stream_of_tracking_streamer_repeats_itself_ends_and_comes_back():
         assert headset.requests == [b""]
         headset.stop()  # the headset sleeps
         until(lambda: source.health().state == "waiting")
+        until(lambda: "check that the app is running" in source.health().detail)
         again = Headset(headset.port)
         again.send(app.avp_update(avp(0.002)))
         until(lambda: mailbox.received_of["right"] == 4)
@@ -598,12 +538,8 @@ def test_a_stream_of_tracking_streamer_repeats_itself_ends_and_comes_back():
         again.stop()
 
 
-def test_a_missing_headset_is_reported_and_waited_for():
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    with connected(port) as (source, _):
-        until(lambda: "check that the app is running" in source.health().detail)
-        assert source.health().state == "waiting"
+def test_another_program_than_the_app_is_named():
+    pytest.importorskip("grpc", reason="grpcio (the extra avp) is not installed")
     other = Headset(method="/other.Service/Method")
     with connected(other.port) as (source, _):
         until(lambda: "without hand tracking" in source.health().detail)

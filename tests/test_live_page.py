@@ -26,13 +26,11 @@ from hostile_texts import ATTACK, guarded_page, hostile_hand
 from live_time import PATIENCE_S
 from live_time import until as eventually
 
-from smooth_operator import HandFrame, Retargeter, load_hand
+from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.planning import make_request
-from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, TeleopRequest, teleoperate
-from smooth_operator.teleop.arm.settings import ArmSettings
-from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css
+from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.pages.live import drawing, live_texts
 from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
 from smooth_operator.teleop.pages.live.live_page import Link, LivePage, LoopLink, PageSetup
@@ -48,29 +46,9 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
-from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side
 
 RATE = 50.0
-
-
-@dataclass
-class Player(ThreadedSource):
-    """The built-in operator, over and over."""
-
-    frames: list[HandFrame]
-
-    @property
-    def label(self) -> str:
-        return "player"
-
-    def run(self, running: Running) -> None:
-        running.health = SourceHealth("running")
-        start, count = time.perf_counter(), 0
-        while not running.stopping.wait(max(start + count / RATE - time.perf_counter(), 0)):
-            frame = self.frames[count % len(self.frames)]
-            running.mailbox.post(dataclasses.replace(frame, stamp=count / RATE))
-            count += 1
 
 
 @dataclass
@@ -89,20 +67,14 @@ class Stage:
 
 
 @pytest.fixture(scope="module")
-def frames() -> list[HandFrame]:
-    return list(SyntheticOperator(seed=4, rate_hz=RATE).record(4.0))
-
-
-@pytest.fixture(scope="module")
-def stage(frames: list[HandFrame], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     asked = make_request(method="joint_angle")
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
     # a busy machine is late, which is no loss of the tracker here
     config = LoopConfig(rate=RATE, safety=SafetyConfig(stale_s=PATIENCE_S, lost_s=PATIENCE_S))
-    loop = TeleopLoop(
-        {"right": HandPipeline(retargeter, config)}, Player(frames), SinkRunner(), config
-    )
+    source = build_source(f"synthetic:seed=4,rate={RATE},wrist=0")
+    loop = TeleopLoop({"right": HandPipeline(retargeter, config)}, source, SinkRunner(), config)
     folder = tmp_path_factory.mktemp("live")
     built = Stage(loop, LiveSession(loop, asked, folder=folder))
 
@@ -166,31 +138,27 @@ def test_the_trackers_rate_is_not_the_command_rate(stage):
     }
     text = plain(live_texts.summary(status))
     assert text.startswith("tracker 25 / 1.4 frames/s · commands 100 / – Hz")
-    assert text.count("player") == 1  # the source is named once
+    assert text.count("built-in operator") == 1  # the source is named once
 
 
-class Quiet(Sink):
-    """A sink that does nothing."""
-
-    label = "quiet"
-
-    def open(self, hands: Any, config: Any) -> None: ...
-
-    def send(self, tick: Tick) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class LateHand(Quiet):
+class LateHand(Sink):
     """A real hand that is where the command was, 80 ms late, and has no encoder in one joint."""
 
     measures = True
+    label = "late"
 
     def __init__(self) -> None:
         self.sent: list[Tick] = []
+        self.names: list[str] = []
+
+    def open(self, hands: Any, config: Any) -> None:
+        self.names.append(hands["right"].name)
+        self.sent.clear()
 
     def send(self, tick: Tick) -> None:
         self.sent.append(tick)
+
+    def close(self) -> None: ...
 
     def state(self, side: Side) -> HandState | None:
         now = time.perf_counter()
@@ -202,16 +170,6 @@ class LateHand(Quiet):
         contact = Contact(np.array([np.nan, 0.25, 0.0, 0.0, 0.0]), np.full(5, np.nan))
         names = past[-1].command.joint_names
         return HandState(side, "late", past[-1].time + 0.08, names, q, contact=contact)
-
-
-@dataclass(frozen=True)
-class HandNames(Quiet):
-    """Notes the hands that it is opened for."""
-
-    names: list[str]
-
-    def open(self, hands: Any, config: Any) -> None:
-        self.names.append(hands["right"].name)
 
 
 def test_a_measured_hand_and_its_delay_are_shown(stage):
@@ -227,29 +185,6 @@ def test_a_measured_hand_and_its_delay_are_shown(stage):
     assert status["motion_delay"]["right"] == pytest.approx(0.08, abs=0.02)
     assert "command to motion" in plain(live_texts.summary(status))
     stage.loop.sinks.remove(late)
-
-
-def test_the_legend_names_each_hand_by_its_sign():
-    def chips(*, simulated: bool, task: bool) -> list[tuple[str, str]]:
-        """(colour, words) of the entries."""
-        markup = live_texts.legend(("thumb", "index"), simulated, task)
-        entries = re.findall(r'<span data-chip.*?color:(#\w+)">(.*?)</span>(.*?)</span>', markup)
-        return [(color, sign + text) for color, sign, text in entries]
-
-    shown = chips(simulated=True, task=False)
-    assert shown[:4] == [
-        (css(PALM), "● human hand, as tracked"),
-        (css(PALM), "■ robot command"),
-        (css(SIMULATED), "■ simulated or measured robot, if it differs"),
-        (css(HIGHLIGHT), "● fingertip and line of a pinch"),
-    ]
-    assert "fingertip target of the method" in shown[4][1]
-    assert [text for _, text in shown[5:]] == ["⬤ thumb", "⬤ index"]
-    assert chips(simulated=True, task=True)[1:3] == [
-        (css(PALM), "■ simulated robot"),
-        (css(SIMULATED), "■ robot command, if it differs"),
-    ]
-    assert len(chips(simulated=False, task=False)) == 6
 
 
 class Browser:
@@ -282,28 +217,6 @@ def test_at_most_one_frame_is_on_its_way_to_a_slow_browser():
     pace.wait()
     assert live_texts.slow(0.1) == ""
     assert "0.4 s late" in live_texts.slow(0.41)
-
-
-def test_a_frame_is_sent_as_one_update():
-    called: list[str] = []
-
-    @contextlib.contextmanager
-    def atomic() -> Iterator[None]:
-        called.append("[")
-        yield
-        called.append("]")
-
-    def part(**more: Any) -> Any:
-        """Notes what is called, in what order."""
-        names = ("draw", "draw_scenery", "show", "flush")
-        calls = {name: lambda *_, name=name: called.append(name) for name in names}
-        return SimpleNamespace(**calls, atomic=atomic, **more)
-
-    page: Any = object.__new__(LiveDrawing)
-    page._scene = page._panel = page._server = part()
-    page._pace = part(delay=0.4)
-    page._draw({"hands": {}, "scenery": {}})
-    assert called == ["[", "show", "draw", "draw_scenery", "]", "flush"]
 
 
 WRIST = {"engaged": False, "released": False, "tracked": True}
@@ -652,55 +565,28 @@ def test_the_page_knows_within_half_a_second_that_the_loop_is_silent(talk, monke
     hangs.set()
 
 
-WORDED = {"label", "detail", "message", "building", "recording", "title", "instruction"}
-
-
-def worded_by_others(seen: Any) -> Any:
-    """What is shown, with an attack wherever a person, a file or a program may put words."""
-    if isinstance(seen, list):
-        return [worded_by_others(each) for each in seen]
-    if not isinstance(seen, dict):
-        return seen
-    replaced = {
-        "events": [[0.0, f"{ATTACK} event"]],
-        "refused": {"right": {f"{ATTACK} reason": 3}},
-        "latched": [f"{ATTACK} latched"],
-        "stages": {f"{ATTACK} stage": {"p50": 1.0, "p99": 2.0}, "total": {"p50": 1.0, "p99": 2.0}},
-        "sinks": [
-            {
-                "label": f"{ATTACK} sink",
-                "state": "open",
-                "sent": 1,
-                "failed": 0,
-                "detail": f"{ATTACK} of a sink",
-            }
-        ],
-    }
-    return {
-        key: replaced[key]
-        if key in replaced
-        else f"{ATTACK} {key}"
-        if key in WORDED
-        else worded_by_others(value)
-        for key, value in seen.items()
-    }
-
-
 @pytest.mark.browser
 @pytest.mark.skipif(sys.platform == "win32", reason="names of files can't hold markup")
 def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
-    seen = worded_by_others(stage.see())
-    seen["trial"] = {
-        "phase": "waiting",
-        "number": 1,
-        "count": 3,
-        "elapsed_s": 0.0,
-        "limit_s": 60.0,
-        "title": f"{ATTACK} title",
-        "instruction": f"{ATTACK} instruction",
+    words = ("latched", "event", "reason", "stage", "label", "detail", "sink", "of a sink")
+    words += ("message", "recording", "title", "instruction", "camera")
+    said = {word: f"{ATTACK} {word}" for word in words}
+    seen = stage.see()
+    seen["hands"]["right"]["latched"] = [said["latched"]]
+    taken = {"p50": 1.0, "p99": 2.0}
+    sink = {"label": said["sink"], "state": "open", "sent": 1, "failed": 0}
+    seen["status"] |= {
+        "events": [[0.0, said["event"]]],
+        "refused": {"right": {said["reason"]: 3}},
+        "stages": {said["stage"]: taken, "total": taken},
+        "sinks": [sink | {"detail": said["of a sink"]}],
     }
-    seen["hands"]["right"]["wrist"] = {"engaged": True, "released": False, "tracked": False}
-    camera = {"name": f"{ATTACK} camera", "number": 1, "age_s": 0.1, "lost": False, "jpeg": "/9j/"}
+    seen["status"]["source"] |= {"label": said["label"], "detail": said["detail"]}
+    seen["controls"]["message"] = said["message"]
+    seen["controls"]["take"]["recording"] = said["recording"]
+    trial = {"phase": "waiting", "number": 1, "count": 3, "elapsed_s": 0.0, "limit_s": 60.0}
+    seen["trial"] = trial | {"title": said["title"], "instruction": said["instruction"]}
+    camera = {"name": said["camera"], "number": 1, "age_s": 0.1, "lost": False, "jpeg": "/9j/"}
     seen["cameras"] = [camera]
     hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
     with serving() as server, guarded_page(chromium) as page:
@@ -710,20 +596,10 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
         panel.show(seen)
         panel.show_meshes(False, f"{ATTACK} note")
         page.goto(page_url("127.0.0.1", server))
-        shown = (
-            "label",
-            "detail",
-            "message",
-            "title",
-            "instruction",
-            "recording",
-            "latched",
-            "camera",
-        )
-        for word in shown:
-            page.get_by_text(f"{ATTACK} {word}").first.wait_for()
-        for word in ("event", "reason", "stage", "sink", "of a sink"):
-            assert page.get_by_text(f"{ATTACK} {word}").count() >= 1
+        hidden = ("event", "reason", "stage", "sink", "of a sink")  # in the tab of the timing
+        for word, text in said.items():
+            state = "attached" if word in hidden else "visible"
+            page.get_by_text(text).first.wait_for(state=state)
         page.get_by_role("tab", name="View").click()
         page.get_by_text(f"{ATTACK} note").first.wait_for()
 
@@ -802,34 +678,6 @@ def tracks(page: Any, stage: Stage) -> None:
     page.locator('[data-mode="tracking"]').wait_for()
     page.get_by_role("button", name="Pause").wait_for()
     page.wait_for_function("!document.title.includes('STOPPED')")
-
-
-def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
-    hands: dict[Side, Any] = {"right": load_hand("mimic_p050")}
-    with serving() as server:
-        scene = LiveScene(server, hands, simulated=True)
-        assert scene._floor.visible
-        drawn = scene._sides["right"].robot.shown
-        assert drawn.other is not None
-        for body, node in drawn.other.nodes.items():  # inside the solid hand
-            for each in ("batched_positions", "batched_wxyzs"):
-                np.testing.assert_array_equal(
-                    getattr(node, each), getattr(drawn.first.nodes[body], each)
-                )
-        positions = hands["right"].full_configuration(hands["right"].neutral).tolist()
-        state = {"positions": positions, "human": None, "latched": None}
-        tips = scene._sides["right"].row.tips["robot"]
-        before, sizes = tips.batched_colors.copy(), tips.batched_scales.copy()
-        scene.draw({"right": {**state, "contact": [0.0, 1.0, 0.5, 0.0, 0.0]}})
-        touched = (tips.batched_colors != before).any(axis=1)
-        assert touched.tolist() == [False, True, True, False, False]  # they are redder and larger
-        assert tips.batched_scales[1] > tips.batched_scales[2] >= sizes[2] == sizes[1]
-        scene.draw({"right": {**state, "contact": None}})
-        np.testing.assert_array_equal(tips.batched_colors, before)
-        scene.remove()
-        assert not [name for name in server.scene._handle_from_node_name if "right" in name]
-        arm = LiveScene(server, hands, False, arm=ArmSettings("ur5e"), root="/second")
-        assert not arm._floor.visible  # the arm's room has its own
 
 
 def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
@@ -921,8 +769,7 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
         return serve(page, session)
 
     monkeypatch.setattr(LivePage, "serve", noted)
-    hands: list[str] = []
-    sink = HandNames(hands)
+    sink = LateHand()
     lines: list[str] = []
     reporter: Any = SimpleNamespace(
         note=lambda text, matters=False: lines.append(text),
@@ -955,7 +802,7 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
         assert "changing to leap_hand …" in live_texts.modes({}, changing["notice"])
         eventually(lambda: len(sessions) == 2)
         eventually(lambda: sessions[1].look(text=False)["hands"])
-        assert hands == ["mimic_p050", "leap_hand"]
+        assert sink.names == ["mimic_p050", "leap_hand"]
         assert sum(line.startswith("page: ") for line in lines) == 1
         assert sessions[1].switcher.used.method == "joint_angle"
     finally:
@@ -1006,9 +853,6 @@ def test_the_page_shows_the_loop_and_stops_it(page, stage):
     assert np.ptp(held, axis=0).max() == 0
     page.get_by_text("Release the stop").click()
     eventually(lambda: stage.mode() is Mode.TRACKING)
-    page.keyboard.press("x")
-    eventually(lambda: stage.mode() is Mode.STOPPED)
-    page.get_by_text("Release the stop").click()
     page.get_by_role("button", name="Pause").click()
     eventually(lambda: stage.mode() is Mode.PAUSED)
     page.get_by_role("button", name="Resume").click()
@@ -1059,6 +903,13 @@ def test_nothing_is_cut_off_at_the_usual_sizes(page):
         assert 0 <= legend["top"] < legend["bottom"] <= height
         assert at["pause"]["top"] == at["record"]["top"]
         assert at["pause"]["right"] < at["record"]["left"]
+    page.set_viewport_size({"width": 390, "height": 844})  # a phone
+    page.wait_for_function("document.body.clientWidth === 390")
+    for name in ("EMERGENCY STOP", "Pause", "Record"):
+        box = page.get_by_role("button", name=name).bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+        assert box["y"] + box["height"] <= 844
     # In a low window, as one enlarged to 200 %, too: an open list leaves the stop button free.
     page.set_viewport_size({"width": 700, "height": 450})
     page.wait_for_function("document.body.clientWidth === 700")
@@ -1121,41 +972,6 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
     for name in ("Pause (P)", "Record (R)"):
         page.get_by_role("button", name=name).wait_for()
-
-
-@pytest.mark.browser
-def test_on_a_phone_the_buttons_are_within_reach(page):
-    page.set_viewport_size({"width": 390, "height": 844})
-    page.wait_for_function("document.body.clientWidth === 390")
-    for name in ("EMERGENCY STOP", "Pause", "Record"):
-        box = page.get_by_role("button", name=name).bounding_box()
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= 390
-        assert box["y"] + box["height"] <= 844
-
-
-def process_figures(pid: int) -> tuple[int, float]:
-    """(threads, resident memory [MB]) of a process."""
-    text = Path(f"/proc/{pid}/status").read_text()
-    words = dict(line.split(":\t", 1) for line in text.splitlines() if ":\t" in line)
-    return int(words["Threads"]), int(words["VmRSS"].split()[0]) / 1024
-
-
-@pytest.mark.weekly
-@pytest.mark.browser
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
-def test_opened_and_closed_again_and_again_nothing_is_left(chromium, served, stage):
-    pid, threads = served._process.pid, threading.active_count()
-    seen = []
-    for _ in range(4):
-        opened(chromium, served, 300, 300).close()
-        time.sleep(0.3)
-        seen.append(process_figures(pid))
-    # in the end, whenever the page gets to it; viser's pool grows to its size
-    eventually(lambda: process_figures(pid)[1] - seen[1][1] < 20.0)
-    eventually(lambda: process_figures(pid)[0] - seen[1][0] <= 4)
-    eventually(lambda: threading.active_count() <= threads)
-    assert stage.mode().moves
 
 
 def test_a_page_that_cannot_be_served_says_why(stage):

@@ -15,38 +15,26 @@ from smooth_operator.metrics.safety import workspace_utilisation
 from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.types import Status
 
-# --- accuracy -----------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize("fingers", [FINGERS, FINGERS[:4], ("thumb", "middle"), FINGERS[:3]])
 def test_a_perfect_copy_is_perfect(fingers):
     result = evaluate(make_trace(human_motion(80), fingers=fingers))
-    for name in ("cosine_similarity", "cosine_similarity_all", "scale_ratio"):
+    ones = ("scale_ratio", "motion_preservation", "velocity_correlation")
+    for name in ("cosine_similarity", "cosine_similarity_all", *ones):
         assert result[name] == pytest.approx(1, abs=1e-12), name
-    assert result["motion_preservation"] == pytest.approx(1, abs=1e-12)
-    assert result["velocity_correlation"] == pytest.approx(1, abs=1e-12)
-    assert result["lag_ms"] == 0
-    assert result["frozen_share"] == 0
+    assert result["lag_ms"] == result["frozen_share"] == 0
+    assert list(result["pinch_touch_share_per_finger"]) == list(fingers[1:])
 
 
-def test_a_scaled_copy_keeps_direction_and_shows_its_scale():
-    human = human_motion(60)
-    tips = WRIST + 0.7 * (human[:, list(TIPS)] - WRIST)
-    result = evaluate(make_trace(human, tips))
-    assert result["scale_ratio"] == pytest.approx(0.7, abs=1e-12)
-    assert result["cosine_similarity"] == pytest.approx(1, abs=1e-12)
-    assert result["motion_preservation"] == pytest.approx(1, abs=1e-12)
-
-
-def test_a_copy_turned_about_the_normal_of_planar_motion_shows_its_angle():
+def test_a_scaled_and_turned_copy_shows_its_scale_and_its_angle():
     human = human_motion(60, seed=3)
     human[..., 2] = WRIST[2]  # planar, so every vector turns by the same angle
     turn = rotation(np.array([0, 0, 1.0]), 0.4)
-    tips = WRIST + (human[:, list(TIPS)] - WRIST) @ turn.T
+    tips = WRIST + 0.7 * (human[:, list(TIPS)] - WRIST) @ turn.T
     result = evaluate(make_trace(human, tips))
     for name in ("cosine_similarity", "cosine_similarity_all", "motion_preservation"):
         assert result[name] == pytest.approx(math.cos(0.4), abs=1e-12), name
-    assert result["scale_ratio"] == pytest.approx(1, abs=1e-12)
+    assert result["scale_ratio"] == pytest.approx(0.7, abs=1e-12)
 
 
 def test_keyvectors_are_wrist_then_thumb_then_the_rest():
@@ -54,9 +42,6 @@ def test_keyvectors_are_wrist_then_thumb_then_the_rest():
     vectors = keyvectors(tips, np.array([[0.0, 0, 1]]))[0]
     expected = [[1, 0, -1], [0, 2, -1], [0, 0, 2], [-1, 2, 0], [-1, 0, 3], [0, -2, 3]]
     np.testing.assert_array_equal(vectors, expected)
-    for count in (2, 3, 4, 5):
-        shape = keyvectors(np.zeros((7, count, 3)), np.zeros((7, 3))).shape
-        assert shape == (7, count * (count + 1) // 2, 3)
 
 
 def test_pinches_touch_by_their_surfaces():
@@ -95,49 +80,30 @@ def test_shake_at_rest_is_the_share_that_the_robot_passes_on(share):
 
 
 def test_flatness_and_acceleration_of_constant_acceleration():
-    t = np.arange(50) / RATE
-    acceleration = np.array([0.3, -0.4, 1.2])  # 1.3 m/s^2 in all
-    tips = WRIST + 0.5 * t[:, None, None] ** 2 * acceleration * np.ones((1, 5, 1))
-    joints = 0.5 * 0.8 * t[:, None] ** 2 * np.ones((1, 3))
-    result = evaluate(make_trace(human_motion(50), tips, joints=joints))
-    assert result["flatness"] == pytest.approx((1.3 / RATE**2) ** 2, rel=1e-9)
-    assert result["fingertip_acceleration"] == pytest.approx(1.3, rel=1e-9)
-    assert result["joint_jitter"] == pytest.approx(0.8 / RATE**2, rel=1e-9)
-    assert result["joint_jitter_rate_free"] == pytest.approx(0.8, rel=1e-9)
+    """The figures in seconds are the same at an uneven rate; those in frames are not."""
+    uneven = np.cumsum(np.random.default_rng(5).uniform(0.004, 0.03, 50))
+    for t in (np.arange(50) / RATE, uneven):
+        acceleration = np.array([0.3, -0.4, 1.2])  # 1.3 m/s^2 in all
+        tips = WRIST + 0.5 * t[:, None, None] ** 2 * acceleration * np.ones((1, 5, 1))
+        joints = 0.5 * 0.8 * t[:, None] ** 2 * np.ones((1, 3))
+        result = evaluate(make_trace(human_motion(50), tips, joints=joints, stamps=t))
+        assert result["fingertip_acceleration"] == pytest.approx(1.3, rel=1e-9)
+        assert result["joint_jitter_rate_free"] == pytest.approx(0.8, rel=1e-9)
+        if t is not uneven:
+            assert result["flatness"] == pytest.approx((1.3 / RATE**2) ** 2, rel=1e-9)
+            assert result["joint_jitter"] == pytest.approx(0.8 / RATE**2, rel=1e-9)
 
 
-def test_acceleration_is_the_same_at_uneven_and_at_other_rates():
-    rng = np.random.default_rng(5)
-    for stamps in (np.arange(40) / 30, np.cumsum(rng.uniform(0.004, 0.03, 40))):
-        tips = WRIST + 0.5 * stamps[:, None, None] ** 2 * np.array([0, 2.0, 0]) * np.ones((1, 5, 1))
-        result = evaluate(make_trace(human_motion(40), tips, stamps=stamps))
-        assert result["fingertip_acceleration"] == pytest.approx(2.0, rel=1e-9)
-
-
-@pytest.mark.parametrize("delay", [1, 4, 9])
+@pytest.mark.parametrize("delay", [1, 2.5, 9])
 def test_lag_of_a_pure_delay(delay):
-    motion = human_motion(600 + delay)
-    human, late = motion[delay:], motion[:-delay]
-    result = evaluate(make_trace(human, late[:, list(TIPS)]))
-    assert result["lag_ms"] == pytest.approx(1e3 * delay / RATE, abs=0.3)
-    assert result["velocity_correlation"] == pytest.approx(1, abs=1e-9)
-
-
-def test_lag_finds_part_of_a_frame():
-    fine = human_motion(2400, amplitude=0.02)  # four fine steps make one frame
-    human, late = fine[10::4], fine[:-10:4]  # two and a half frames late
-    late = late[: len(human)]
-    result = evaluate(make_trace(human, late[:, list(TIPS)]))
-    assert result["lag_ms"] == pytest.approx(1e3 * 2.5 / RATE, abs=0.5)
-
-
-def test_a_pause_does_not_stretch_the_lag():
-    """Frames become time by the median frame."""
-    motion = human_motion(604)
-    stamps = np.arange(600) / RATE
+    """Frames become time by the median frame: a pause stretches neither the lag nor the rate."""
+    fine, shift = human_motion(1200 + 2 * 9), round(2 * delay)  # two fine steps make one frame
+    human, late = fine[shift : shift + 1200 : 2], fine[:1200:2]
+    stamps = 2 * np.arange(600) / RATE
     stamps[300:] += 2.0
-    trace = make_trace(motion[4:], motion[:-4, list(TIPS)], stamps=stamps)
-    assert evaluate(trace)["lag_ms"] == pytest.approx(1e3 * 4 / RATE, abs=0.3)
+    result = evaluate(make_trace(human, late[:, list(TIPS)], stamps=stamps))
+    assert result["lag_ms"] == pytest.approx(1e3 * 2 * delay / RATE, abs=0.5)
+    assert result["rate_hz"] == pytest.approx(RATE / 2)
 
 
 def test_a_frozen_hand():
@@ -145,11 +111,9 @@ def test_a_frozen_hand():
     tips = np.repeat(human[:1, list(TIPS)], 50, axis=0)
     result = evaluate(make_trace(human, tips, joints=np.full((50, 4), 0.2)))
     assert result["frozen_share"] == 1
-    assert result["motion_preservation"] is None
-    assert result["lag_ms"] is None
-    assert result["velocity_correlation"] is None
-    assert result["flatness"] == 0
-    assert result["max_joint_step"] == 0
+    assert result["flatness"] == result["max_joint_step"] == 0
+    absent = ("motion_preservation", "lag_ms", "velocity_correlation")
+    assert [result[name] for name in absent] == [None] * 3
 
 
 def test_frozen_share_counts_only_frames_in_which_the_human_moves():
@@ -159,22 +123,8 @@ def test_frozen_share_counts_only_frames_in_which_the_human_moves():
     assert evaluate(make_trace(human, joints=joints))["frozen_share"] == pytest.approx(0.5)
     still = np.repeat(human[:1], 41, axis=0)
     assert evaluate(make_trace(still, joints=joints))["frozen_share"] is None
-
-
-def test_one_moving_finger_is_a_moving_human():
-    human = np.repeat(human_motion(1), 41, axis=0)
-    human[:, TIPS[1], 0] += 0.001 * np.arange(41)
-    joints = np.repeat(np.arange(21.0)[:, None] * 0.01, 2, axis=0)[:41]  # every other frame
-    assert evaluate(make_trace(human, joints=joints))["frozen_share"] == pytest.approx(0.5)
-
-
-def test_the_rate_is_that_of_most_frames():
-    """A pause in the recording does not make the tracker slower."""
-    trace = make_trace(human_motion(40))
-    stamps = np.arange(40) / 50.0
-    stamps[30:] += 5.0
-    result = evaluate(dataclasses.replace(trace, stamps=stamps))
-    assert result["rate_hz"] == pytest.approx(50.0)
+    still[:, TIPS[1], 0] += 0.001 * np.arange(41)  # one moving finger is a moving human
+    assert evaluate(make_trace(still, joints=joints))["frozen_share"] == pytest.approx(0.5)
 
 
 def test_still_frames_do_not_dilute_motion_preservation():
@@ -199,9 +149,6 @@ def test_limits_steps_and_joints_without_limits():
     one_sided = np.array([[np.nan, 1.0], [-np.inf, np.inf], [-1.0, np.nan]])
     result = evaluate(make_trace(human_motion(10), joints=joints, joint_limits=one_sided))
     assert result["limit_violation_share"] == pytest.approx(0.1)
-    inside = evaluate(make_trace(human_motion(10)))
-    assert inside["limit_violation_rad"] == 0
-    assert inside["limit_violation_share"] == 0
 
 
 def test_rounding_at_a_limit_is_no_violation():
@@ -211,9 +158,7 @@ def test_rounding_at_a_limit_is_no_violation():
     assert 0 < result["limit_violation_rad"] < 1e-6
     assert result["limit_violation_share"] == 0
     joints[:2] += 1e-4  # a hundredth of a degree is a violation
-    beyond = evaluate(
-        make_trace(human_motion(6), joints=joints, joint_limits=np.array([[-1, 1.1]]))
-    )
+    beyond = evaluate(dataclasses.replace(trace, joint_positions=joints))
     assert beyond["limit_violation_share"] == pytest.approx(2 / 6)
 
 
@@ -243,14 +188,8 @@ def test_workspace_utilisation_counts_points_near_a_visited_one():
     assert ring is None
     result = evaluate(make_trace(human_motion(3), np.nan_to_num(tips), reach=reach))
     per_finger = result["workspace_utilisation_per_finger"]
-    assert isinstance(per_finger, dict)
     assert list(per_finger) == list(FINGERS)
-    assert result["workspace_utilisation"] == pytest.approx(
-        np.mean([float(v) for v in per_finger.values() if v is not None])
-    )
-
-
-def test_workspace_radius_is_inclusive_and_sharp():
+    assert result["workspace_utilisation"] == pytest.approx(np.mean([*per_finger.values()]))
     reach = np.zeros((2, 2, 3))
     reach[:, :, 0] = [[0.25], [0.2500001]]
     assert workspace_utilisation(np.zeros((1, 2, 3)), reach, radius=0.25) == [0.5, 0.5]
@@ -264,14 +203,8 @@ def test_latency_and_status():
     assert result["latency_ms"] == pytest.approx(
         {"mean": 50, "p50": 50, "p95": 95, "p99": 99, "first": 100}
     )
-    assert result["status"] == {
-        "ok": 96,
-        "invalid_landmarks": 3,
-        "degenerate_palm": 1,
-        "solver_failed": 0,
-        "implausible_hand": 0,
-        "unknown": 1,
-    }
+    counts = {name: count for name, count in result["status"].items() if count}
+    assert counts == {"ok": 96, "invalid_landmarks": 3, "degenerate_palm": 1, "unknown": 1}
     silent = evaluate(make_trace(human_motion(9), latency_ms=np.full(9, np.nan)))
     assert set(silent["latency_ms"].values()) == {None}
 
@@ -293,15 +226,6 @@ def test_invalid_frames_are_left_out_and_not_bridged(definition):
     json.dumps(result, allow_nan=False)
 
 
-def test_one_missing_fingertip_costs_only_its_own_vectors():
-    human = human_motion(60)
-    tips = human[:, list(TIPS)].copy()
-    human[:, TIPS[4]] = np.nan
-    tips[:, 4] += 0.1  # wrong, but there is nothing to compare it with
-    result = evaluate(make_trace(human, tips))
-    assert result["cosine_similarity_all"] == pytest.approx(1, abs=1e-12)
-
-
 def test_a_run_of_invalid_frames_only():
     human = np.full((30, 21, 3), np.nan)
     robot_landmarks = human_motion(30)
@@ -309,10 +233,8 @@ def test_a_run_of_invalid_frames_only():
         for definition in ("sound", "paper"):
             trace = make_trace(human, np.zeros((30, 5, 3)), robot_landmarks=robot_landmarks)
             result = evaluate(trace, definition)
-            assert result["cosine_similarity"] is None
-            assert result["motion_preservation"] is None
-            assert result["lag_ms"] is None
-            assert result["frozen_share"] is None
+            absent = ("cosine_similarity", "motion_preservation", "lag_ms", "frozen_share")
+            assert [result[name] for name in absent] == [None] * 4
             assert result["flatness"] == 0
 
 
@@ -331,15 +253,6 @@ def test_tiny_recordings_give_none_and_no_warning(frames, definition):
     assert (result["rate_hz"] is None) == (frames < 2)
     assert (result["cosine_similarity"] is None) == (frames < 1)
     assert result["lag_ms"] is None
-
-
-def test_a_two_finger_hand():
-    human = human_motion(60)
-    trace = make_trace(human, fingers=("thumb", "index"))
-    assert trace.human_keyvectors.shape == (60, 3, 3)
-    result = evaluate(trace)
-    assert result["pinch_touch_share_per_finger"] == {"index": None}
-    assert result["cosine_similarity"] == pytest.approx(1)
 
 
 @pytest.mark.parametrize(
@@ -381,10 +294,6 @@ def test_the_table_names_every_key_and_no_other():
     for definition in ("sound", "paper"):
         result = evaluate(trace, definition)
         assert list(result) == list(dict.fromkeys(m.name.split(".")[0] for m in METRICS))
-        for metric in METRICS:
-            value = metric.of(result)
-            if "." in metric.name:
-                assert value is None or isinstance(value, float)
         for key in ("latency_ms", "self_collision"):
             named = {m.name.split(".")[1] for m in METRICS if m.name.startswith(f"{key}.")}
             assert named == set(result[key])

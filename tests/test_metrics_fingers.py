@@ -34,27 +34,12 @@ def test_fingers_that_the_robot_lacks_do_not_count(fingers, definition):
 @pytest.mark.parametrize("fingers", CHOICES)
 def test_means_are_over_the_vectors_that_there_are(fingers):
     human, count = human_motion(30), len(fingers)
-    own = [TIPS[FINGERS.index(f)] for f in fingers]
-    tips = human[:, own].copy()
+    tips = human[:, [TIPS[FINGERS.index(f)] for f in fingers]]
     tips[:, -1] = 2 * tips[:, 0] - tips[:, -1]  # the last finger on the thumb's other side
     result = evaluate(make_trace(human, tips, fingers))
     # F - 1 vectors from the thumb, of which one is turned round, at its full length
     assert result["cosine_similarity"] == pytest.approx((count - 3) / (count - 1))
     assert result["scale_ratio"] == pytest.approx(1)
-
-    longer = human[:, own].copy()
-    longer[:, 1] = WRIST + 1.5 * (longer[:, 1] - WRIST)
-    pairs = [(None, i) for i in range(count)]
-    pairs += [(i, j) for i in range(count) for j in range(i + 1, count)]
-    assert len(pairs) == count * (count + 1) // 2
-
-    def vectors(points: np.ndarray) -> np.ndarray:
-        return np.stack([points[:, j] - (WRIST if i is None else points[:, i]) for i, j in pairs])
-
-    a, b = vectors(human[:, own]), vectors(longer)
-    cosine = (a * b).sum(-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
-    result = evaluate(make_trace(human, longer, fingers))
-    assert result["cosine_similarity_all"] == pytest.approx(cosine.mean())
 
 
 def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its():
@@ -69,7 +54,7 @@ def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its():
     np.testing.assert_array_equal(four.sum(axis=0), (10, 0, 10))
 
 
-def played_back(hand: Hand, off: float = 0.0) -> tuple[Trace, HandRecording]:
+def played_back(hand: Hand, off: float = 0.0) -> Trace:
     """A human whose landmarks are the robot's own, without those that the robot lacks; the last
     actuated joint of the robot is ``off`` [rad] from where it should be."""
     low, high = hand.limits.T
@@ -91,25 +76,17 @@ def played_back(hand: Hand, off: float = 0.0) -> tuple[Trace, HandRecording]:
         np.ones(FRAMES),
         np.zeros(FRAMES, np.int8),
     )
-    return assemble_trace(recording, commands, hand, reach_samples=500), recording
+    return assemble_trace(recording, commands, hand, reach_samples=500)
 
 
-HANDS = [
-    ("shadow_dexee", None),
-    ("allegro_hand", None),
-    ("leap_hand", None),
-    ("shadow_hand", ("thumb", "middle", "pinky")),
-]
+HANDS = [("shadow_dexee", None), ("allegro_hand", None), ("shadow_hand", CHOICES[-1])]
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize(("name", "fingers"), HANDS)
 def test_a_hand_that_does_what_the_human_does_is_perfect(name, fingers, side):
     hand = load_hand(name, side, fingers=fingers)
-    trace, _ = played_back(hand)
-    count = len(hand.fingers)
-    assert count == (len(fingers) if fingers else {"shadow_dexee": 3}.get(name, 4))
-    assert trace.human_keyvectors.shape == (FRAMES, count * (count + 1) // 2, 3)
+    trace = played_back(hand)
     for definition in ("sound", "paper"):
         result = evaluate(trace, definition)
         for figure in ("cosine_similarity", "cosine_similarity_all", "scale_ratio"):
@@ -126,22 +103,12 @@ def test_a_hand_that_does_what_the_human_does_is_perfect(name, fingers, side):
 @pytest.mark.parametrize(("name", "fingers"), HANDS)
 def test_figures_finger_by_finger(name, fingers):
     hand = load_hand(name, fingers=fingers)
-    moved = [n for n, change in zip(hand.fingers, tip_shift(hand), strict=True) if change > 1e-9]
-    assert len(moved) == 1  # the last joint moves one finger
-    trace, _ = played_back(hand, off=0.1)
+    trace = played_back(hand, off=0.1)
     table = finger_metrics(trace, evaluate(trace))
     assert tuple(table) == hand.fingers
+    wrong = [finger for finger, row in table.items() if row["tip_error_mm"] > 1]
+    assert len(wrong) == 1  # the last joint moves one finger
     for finger, row in table.items():
         assert set(row) == {metric.name for metric in PER_FINGER}
-        assert (row["tip_error_mm"] > 1) == (finger in moved), (finger, row)
-        assert (row["reach_cosine"] < 1 - 1e-7) == (finger in moved), (finger, row)
+        assert (row["reach_cosine"] < 1 - 1e-7) == (finger in wrong), (finger, row)
         assert (row["thumb_cosine"] is None) == (finger == "thumb")
-
-
-def tip_shift(hand: Hand) -> np.ndarray:
-    """(F,) how far the last actuated joint moves each fingertip [m]."""
-    q = hand.neutral + 0.1 * (np.arange(len(hand.neutral)) == len(hand.neutral) - 1)
-    return np.linalg.norm(
-        hand.tips(hand.full_configuration(q)) - hand.tips(hand.full_configuration(hand.neutral)),
-        axis=-1,
-    )

@@ -12,6 +12,10 @@ from smooth_operator.metrics.trace import Trace
 
 BONE = 0.03
 STRAIGHT = 3 * BONE
+POSTURE = (
+    *("finger_extension_error", "curl_error_deg", "finger_direction_error_deg"),
+    *("thumb_direction_error_deg", "spread_error_deg"),
+)
 
 
 def hand_with(*bends: float, count: int = 4, size: float = 1.0) -> np.ndarray:
@@ -36,17 +40,11 @@ def trace_of(human: np.ndarray, robot: np.ndarray, size: float = 1.0) -> Trace:
 def test_a_copy_of_another_size_has_no_error():
     human = hand_with(20, 30, 40)
     result = evaluate(trace_of(human, hand_with(20, 30, 40, size=1.5), size=1.5))
-    for name in (
-        "finger_extension_error",
-        "curl_error_deg",
-        "finger_direction_error_deg",
-        "thumb_direction_error_deg",
-        "spread_error_deg",
-    ):
+    for name in POSTURE:
         assert result[name] == pytest.approx(0, abs=1e-5), name
 
 
-def test_a_bent_finger_has_its_bend_and_its_extension():
+def test_a_bent_finger_and_a_fist_that_does_not_close():
     result = evaluate(trace_of(hand_with(0, 0, 0), hand_with(0, 60, 0)))
     bent = np.sqrt(1 + 4 + 2 * 2 * np.cos(np.radians(60))) / 3  # two bones at 60 degrees to one
     assert result["curl_error_deg"] == pytest.approx(60)
@@ -54,9 +52,6 @@ def test_a_bent_finger_has_its_bend_and_its_extension():
     assert result["flat_extension_lack"] == pytest.approx(1 - bent)
     assert result["fist_extension_excess"] is None
     assert result["thumb_direction_error_deg"] == pytest.approx(0, abs=1e-5)
-
-
-def test_a_fist_that_does_not_close():
     result = evaluate(trace_of(hand_with(90, 100, 60), hand_with(90, 40, 20)))
     assert result["flat_extension_lack"] is None
     assert result["fist_extension_excess"] == result["finger_extension_error"]
@@ -64,17 +59,13 @@ def test_a_fist_that_does_not_close():
     assert result["curl_error_deg"] == pytest.approx(100)
 
 
-def test_directions_are_of_fingers_and_thumb():
+def test_directions_of_fingers_and_thumb_and_their_spread():
     human, robot = hand_with(0, 0, 0), hand_with(25, 0, 0)
     robot[:, 1:5] = robot[:, 1:2] + BONE * np.arange(4)[:, None] * np.array([0.6, 0.8, 0])
     result = evaluate(trace_of(human, robot))
     assert result["finger_direction_error_deg"] == pytest.approx(25)
     assert result["thumb_direction_error_deg"] == pytest.approx(np.degrees(np.arccos(0.8)))
-
-
-def test_spread_is_the_angle_to_the_side():
-    human, robot = hand_with(0, 0, 0), hand_with(0, 0, 0)
-    turn = np.radians(12)
+    robot, turn = hand_with(0, 0, 0), np.radians(12)
     across = np.array([np.cos(turn), np.sin(turn), 0])
     robot[:, 5:9] = robot[:, 5:6] + BONE * np.arange(4)[:, None] * across  # the index finger alone
     assert evaluate(trace_of(human, robot))["spread_error_deg"] == pytest.approx(12 / 3)
@@ -105,14 +96,10 @@ def test_a_larger_copy_does_not_jump():
 
 def opening(*parts: tuple[int, float]) -> np.ndarray:
     """(T, 21, 3) a hand whose long fingers have an extension for so many frames each."""
+    bends = [np.degrees(np.arccos((9 * extension**2 - 5) / 4)) for _, extension in parts]
     return np.concatenate(
-        [hand_with(0, bend, 0, count=count) for count, bend in ((n, bent(e)) for n, e in parts)]
+        [hand_with(0, bend, 0, count=n) for (n, _), bend in zip(parts, bends, strict=True)]
     )
-
-
-def bent(extension: float) -> float:
-    """Bend of the middle joint that gives a finger an extension [degrees]."""
-    return float(np.degrees(np.arccos((9 * extension**2 - 5) / 4)))
 
 
 def test_settling_is_the_time_to_the_humans_extension():
@@ -139,11 +126,5 @@ def test_a_shift_of_all_fingers():
 
 def test_without_the_robots_points_posture_is_unknown():
     result = evaluate(make_trace(human_motion(20)))
-    for name in (
-        "finger_extension_error",
-        "curl_error_deg",
-        "finger_direction_error_deg",
-        "jumps_per_1000",
-        "settling_s",
-    ):
+    for name in (*POSTURE, "jumps_per_1000", "settling_s"):
         assert result[name] is None, name

@@ -9,12 +9,11 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.execution import execute
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
-from smooth_operator.planning import Plan
+from smooth_operator.planning import make_request, plan
 from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
-from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic import SyntheticOperator
@@ -60,7 +59,7 @@ def follow(estimate, points, known, rate):
     return jax.device_get(states), np.linalg.norm(apart, axis=1) / estimate.palm, np.asarray(out)
 
 
-@pytest.mark.parametrize("rate", [10, 30, 120])
+@pytest.mark.parametrize("rate", [10, 120])
 def test_two_contacts_that_agree_are_a_gap(estimate, rate):
     points, distance = pinches(estimate, [0.09, 0.10, 0.09], rate)
     states, closed, _ = follow(estimate, points, NO_GAPS, rate)
@@ -82,6 +81,12 @@ def test_contacts_that_do_not_agree_or_lie_far_apart_are_no_gap(estimate):
         states, closed, _ = follow(estimate, points, NO_GAPS, 30)
         assert (states.gap == 0).all()
         np.testing.assert_allclose(closed, distance, atol=1e-5)
+    points, distance = pinches(estimate, [0.3], 30)
+    _, _, out = follow(estimate, points, None, 30)
+    np.testing.assert_array_equal(out, points)  # switched off
+    points[:, INDEX - 1] = np.nan  # the bones of the finger are not known
+    _, closed, _ = follow(estimate, points, MEDIAPIPE, 30)
+    np.testing.assert_allclose(closed, distance, atol=1e-5)
 
 
 def test_a_trackers_gap_is_closed_from_the_first_contact(estimate):
@@ -114,19 +119,6 @@ def test_a_wrong_gap_does_not_last(estimate):
     np.testing.assert_allclose(closed[opening], distance[opening], atol=1e-3)
 
 
-def test_switched_off_nothing_moves(estimate):
-    points, _ = pinches(estimate, [0.05, 0.05], 30)
-    _, _, out = follow(estimate, points, None, 30)
-    np.testing.assert_array_equal(out, points)
-
-
-def test_a_finger_whose_bones_are_not_known_is_left_as_it_is(estimate):
-    points, distance = pinches(estimate, [0.3], 30)
-    points[:, INDEX - 1] = np.nan
-    _, closed, _ = follow(estimate, points, MEDIAPIPE, 30)
-    np.testing.assert_allclose(closed, distance, atol=1e-5)
-
-
 def test_retargeter_starts_with_known_gaps():
     hand = load_hand("leap_hand")  # without a little finger
     retargeter = Retargeter(hand, pinch_gaps=MEDIAPIPE)
@@ -140,19 +132,10 @@ def test_retargeter_starts_with_known_gaps():
 def test_a_cameras_pinches_close_on_the_robot(preset):
     camera = tracker_model("camera")
     human = SyntheticOperator(seed=2, gestures=("pinch_index",), tracker=camera).record(6.0)
-    hand, config = load_hand("mimic_p050"), method_config("smooth", preset)
-    nearest = []
-    for known in (None, MEDIAPIPE):
-        plan = Plan(
-            recording=human,
-            hand=hand,
-            method="smooth",
-            preset=preset,
-            config=config,
-            seed=0,
-            pinch_gaps=known,
-        )
-        tips = hand.tips(execute(plan).commands.joint_positions)
+    hand, nearest = load_hand("mimic_p050"), []
+    for known in ("off", "mediapipe"):
+        asked = plan(human, make_request(method="smooth", preset=preset, pinch_gaps=known))
+        tips = hand.tips(execute(asked).commands.joint_positions)
         nearest.append(np.linalg.norm(tips[:, 1] - tips[:, 0], axis=-1).min())
     assert nearest[0] > 0.015
     assert nearest[1] < 0.01

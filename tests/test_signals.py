@@ -9,14 +9,15 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 from dynamixel_bank import ServoBank
 from live_time import PATIENCE_S, until
+from processes import python
 
-from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.control.switches import terminal_keys
@@ -146,7 +147,7 @@ def test_a_run_that_has_not_begun_ends_too(bank, tmp_path, how):
 
 
 @posix
-@pytest.mark.parametrize("how", [pytest.param("SIGINT", marks=pytest.mark.weekly), "SIGQUIT"])
+@pytest.mark.parametrize("how", ["SIGINT", pytest.param("SIGQUIT", marks=pytest.mark.weekly)])
 def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path, how):
     motion = SyntheticOperator().record(300.0)
     np.savez(tmp_path / "long.npz", landmarks=motion.landmarks, timestamps=motion.stamps)
@@ -171,6 +172,8 @@ class Signals:
         if name == where:
             exec("os.kill(os.getpid(), signal.Signals[how])")  # as in dataclasses
 
+if where in ("contextlib", "threading"):  # which Python has loaded itself
+    del sys.modules[where]
 sys.meta_path.insert(0, Signals())
 sys.argv[1:] = ["retarget", "none.npz", "--output", "a.npz"]
 from smooth_operator.cli import program
@@ -180,47 +183,26 @@ sys.exit(program())
 
 @posix
 @pytest.mark.parametrize(
-    ("where", "how"),
-    [("smooth_operator.errors", "SIGTERM"), ("tyro", "SIGINT"), ("numpy", "SIGINT")],
+    ("where", "how", "home", "ended"),
+    [
+        ("smooth_operator.errors", "SIGTERM", "cli", (130, "smooth-operator: stopped\n")),
+        ("numpy", "SIGINT", "cli", (130, "smooth-operator: stopped\n")),
+        # before the command has a handler the signal ends the process; shells report that as 130
+        ("smooth_operator.cli.process", "SIGINT", "__main__", (-signal.SIGINT, "")),
+        ("contextlib", "SIGINT", "__main__", (-signal.SIGINT, "")),
+    ],
 )
-def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(tmp_path, where, how):
-    (tmp_path / "importing.py").write_text(IMPORTING, encoding="utf-8")
-    command = [sys.executable, "-m", "importing", where, how]
-    done = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=LONG_S
-    )
-    assert (done.returncode, done.stderr) == (130, "smooth-operator: stopped\n")
-
-
-@posix
-@pytest.mark.parametrize("where", ["smooth_operator.cli.process", "contextlib", "threading"])
-def test_ctrl_c_in_the_first_imports_is_no_traceback(tmp_path, where):
-    """Before the command has a handler the signal ends the process, which shells report as 130."""
-    text = IMPORTING.replace("smooth_operator.cli import", "smooth_operator.__main__ import")
-    # Python may have loaded these modules itself.
-    text = text.replace("sys.meta_path", f"sys.modules.pop({where!r}, None)\nsys.meta_path")
+def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(tmp_path, where, how, home, ended):
+    text = IMPORTING.replace("smooth_operator.cli", f"smooth_operator.{home}")
     (tmp_path / "importing.py").write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "importing", where, "SIGINT"]
-    done = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=LONG_S
-    )
-    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
-
-
-@posix
-def test_what_a_program_was_told_to_ignore_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
-    try:
-        with ended_by_signals() as ending:
-            signal.raise_signal(signal.SIGHUP)
-        assert not ending.came
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    done = python("-m", "importing", where, how, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == ended
 
 
 @pytest.mark.parametrize("number", ENDING)
 def test_the_first_signal_raises_and_those_after_it_do_not(number):
     before = [signal.getsignal(other) for other in ENDING]
+
     with ended_by_signals() as ending:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
@@ -233,16 +215,32 @@ def test_the_first_signal_raises_and_those_after_it_do_not(number):
     assert [signal.getsignal(other) for other in ENDING] == before
 
 
-def test_a_clean_up_of_an_outer_block_is_not_cut_off_either():
+def test_another_thread_changes_nothing():
+    def inside() -> list[Any]:
+        with ended_by_signals():
+            return [signal.getsignal(number) for number in ENDING]
+
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(inside).result() == [signal.getsignal(number) for number in ENDING]
+
+
+def test_an_outer_block_quits_and_ignored_signals_stay_ignored():
     with ended_by_signals() as outer:
         quits: list[int] = []
         outer.quit = lambda: quits.append(0)
         with pytest.raises(KeyboardInterrupt), ended_by_signals():
             signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGTERM)
-        assert quits == [0]
+        signal.raise_signal(signal.SIGINT)
+        assert quits == [0, 0]
         outer.quit = None
         signal.raise_signal(signal.SIGTERM)
+    if hasattr(signal, "SIGHUP"):
+        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+        with ended_by_signals() as ending:
+            signal.raise_signal(signal.SIGHUP)
+        assert not ending.came
+        signal.signal(signal.SIGHUP, before)
 
 
 @posix
@@ -257,54 +255,3 @@ def test_keys_end_with_their_terminal(monkeypatch):
             os.close(ours)
             thread.join(LONG_S)
             assert not thread.is_alive()
-
-
-def test_a_loop_is_asked_to_quit():
-    with ended_by_signals() as ending:
-        quits: list[int] = []
-        ending.quit = lambda: quits.append(1)
-        signal.raise_signal(signal.SIGTERM)
-        signal.raise_signal(signal.SIGINT)
-        assert quits == [1, 1]
-
-
-def test_another_thread_changes_nothing():
-    before = [signal.getsignal(number) for number in ENDING]
-    inside: list[Any] = []
-
-    def run() -> None:
-        with ended_by_signals():
-            inside.extend(signal.getsignal(number) for number in ENDING)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    thread.join()
-    assert inside == before
-
-
-@posix
-def test_a_closed_window_of_windows_is_an_ending_signal(monkeypatch):
-    """With the system's part made up: its handlers, and that it ends the process afterwards."""
-    handlers: list[Any] = []
-
-    class Kernel:
-        def SetConsoleCtrlHandler(self, handler: Any, add: bool) -> None:
-            handlers.append(handler) if add else handlers.remove(handler)
-
-    import ctypes
-
-    windll = type("windll", (), {"kernel32": Kernel()})
-    monkeypatch.setattr(ctypes, "windll", windll, raising=False)
-    monkeypatch.setattr(ctypes, "WINFUNCTYPE", lambda *_: lambda f: f, raising=False)
-    monkeypatch.setattr(signal, "SIGBREAK", signal.SIGTERM, raising=False)
-    monkeypatch.setattr(signals.sys, "platform", "win32")
-    slept: list[float] = []
-    monkeypatch.setattr(signals.time, "sleep", slept.append)
-    with ended_by_signals() as ending:
-        ending.quit = lambda: None
-        assert not handlers[0](0)  # Ctrl-C is Python's own
-        assert not ending.came
-        assert handlers[0](2)
-        assert ending.came
-        assert slept == [30.0]  # the system would end the process when the handler returns
-    assert handlers == []

@@ -6,7 +6,6 @@ import contextlib
 import json
 import re
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -288,12 +287,7 @@ def _named(spec: HandSpec, options: Add) -> HandSpec:
         return spec
     builtin = {entry.name for entry in known_hands().values() if entry.builtin}
     base = f"my_{spec.name}" if spec.name in builtin else spec.name
-
-    def candidates() -> Iterator[str]:
-        yield base
-        yield from (f"{base}_{k}" for k in count(2))
-
-    for name in candidates():
+    for name in (base if k == 1 else f"{base}_{k}" for k in count(1)):
         file = user_hands_folder() / spec_name(name, spec.side)
         named = replace(spec, name=name)
         if options.overwrite or not file.exists() or _same(file, named):

@@ -231,22 +231,8 @@ Each command has its own help: smooth-operator retarget --help
 """
 
 
-Command: TypeAlias = (
-    Bench
-    | Calibrate
-    | Convert
-    | Dataset
-    | Demo
-    | Doctor
-    | Edit
-    | Hands
-    | Latency
-    | Retarget
-    | Sample
-    | Teleop
-    | Train
-    | View
-)
+Command: TypeAlias = Common | Group
+"""Options of a command, which run it."""
 
 _COMMANDS: Final[dict[str, type[Command]]] = {
     "demo": Demo,
@@ -298,7 +284,7 @@ A plugin's ``GROUP.NAME`` is the command ``smooth-operator GROUP NAME``.
 """
 
 
-def _command(name: str) -> type[Common | Group]:
+def _command(name: str) -> type[Command]:
     kind = COMMANDS.load(name)
     if not (isinstance(kind, type) and issubclass(kind, Common | Group)):
         raise ConfigError(

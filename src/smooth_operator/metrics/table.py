@@ -9,7 +9,7 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, get_args
+from typing import Any, Final, Literal, TypeAlias, TypeVar, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -31,9 +31,6 @@ from smooth_operator.metrics import (
 from smooth_operator.metrics.trace import Trace, keyvectors
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.terminal import print_note
-
-if TYPE_CHECKING:
-    from smooth_operator.metrics.trace import Trace
 
 Value: TypeAlias = float | int | str | Mapping[str, float | int | None] | None
 """Value of a metric: usually a number; None if it can't be measured."""

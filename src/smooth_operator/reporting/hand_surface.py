@@ -118,7 +118,7 @@ def landmark_surface(points: Float[np.ndarray, "21 3"]) -> Surface:
     for chain, color in zip(chains, FINGER_COLORS, strict=True):
         for a, b in pairwise(chain):
             pieces.append(rod(points[a], points[b], radius))
-            colors.append(_rgb(color))
+            colors.append(rgb(color))
     rim = [WRIST, *bases]
     for a, b in zip(rim, [*bases, WRIST], strict=True):
         pieces.append(rod(points[a], points[b], 0.9 * radius))
@@ -241,5 +241,6 @@ def _length(points: Float[np.ndarray, "k 3"]) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).sum())
 
 
-def _rgb(code: str) -> tuple[int, int, int]:
+def rgb(code: str) -> tuple[int, int, int]:
+    """Red, green and blue of a colour ``#rrggbb``, 0 to 255."""
     return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)

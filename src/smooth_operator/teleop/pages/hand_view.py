@@ -18,7 +18,7 @@ from smooth_operator import landmarks
 from smooth_operator.hands.capsules import hand_capsules
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.reporting.hand_surface import view_basis
+from smooth_operator.reporting.hand_surface import rgb, view_basis
 from smooth_operator.retargeting.palm import human_palm_axes
 
 if TYPE_CHECKING:
@@ -268,9 +268,7 @@ def coarser(mesh: trimesh.Trimesh, most: int = _MOST_FACES) -> trimesh.Trimesh:
 
 Rgb = tuple[int, int, int]
 
-FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
-    (int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)) for code in landmarks.FINGER_COLORS
-)
+FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(map(rgb, landmarks.FINGER_COLORS))
 """Colour of each finger, thumb first."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """Colour of a pinching fingertip."""

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
+from smooth_operator.poses import rotate
 from smooth_operator.teleop.pages.hand_view import (
     FOREARM,
     HIGHLIGHT,
@@ -323,9 +324,7 @@ class RobotBodies:
         return self._in_palm(self.first.corners(self._qpos(every)))
 
     def _in_palm(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        matrix = np.empty(9)
-        mujoco.mju_quat2Mat(matrix, self._pose[3:])
-        return np.asarray(points @ matrix.reshape(3, 3).T + self._pose[:3])
+        return np.asarray(rotate(self._pose[3:], points) + self._pose[:3])
 
     def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
         """Joint positions of the drawn model; joints that only it has stay at rest."""
