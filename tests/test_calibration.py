@@ -271,7 +271,7 @@ def test_a_folder_is_made_again_for_other_fingers_or_another_operator():
     several |= {digest(THREE, KNOWN, pinch_gaps="off"), digest("thumb,index,ring", KNOWN)}
     assert len(several) == 6
     assert digest(THREE, KNOWN) in several
-    with pytest.raises(UnknownNameError, match="unknown finger .toe."):
+    with pytest.raises(UnknownNameError, match="unknown finger 'toe'"):
         digest("thumb,toe", None)
 
 
