@@ -31,6 +31,7 @@ from simulators.common import Faults, SerialLine, serve_can
 from simulators.modbus_rtu import RtuDevice, crc
 
 from smooth_operator import load_hand
+from smooth_operator.errors import SinkError
 from smooth_operator.teleop.components import build_sink
 from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table, write_table
 from smooth_operator_devices.hands.device import HandDevice, Reading, WrongAnswerError
@@ -109,18 +110,23 @@ class Rig:
         return build_sink(",".join([self.sink, *(f"{k}={v}" for k, v in values.items())]))
 
     def device(self, side: str = "", limit: float | None = None, **settings: Any) -> HandDevice:
-        """A device with the built-in table of a side (that of the hand) and some settings."""
-        name = f"{self.table or self.driver}_{side or self.side}.toml"
-        table = read_table(built_in_tables() / name)
+        """A device with the table of a side (by default that of the hand) and some settings."""
+        sink, side = self.build(), side or self.side
+        built_in = built_in_tables() / f"{self.table or self.driver}_{side}.toml"
+        table = read_table(built_in) if built_in.is_file() else sink.actuators("right")
         table = replace(table, settings={**table.settings, **settings}, limit=limit or table.limit)
-        device = self.build().device(table)
+        device = sink.device(table)
         self.served.callback(device.close)
         return device
 
     def open(self, **settings: Any) -> Any:
-        """The same, open."""
+        """The same, open; closed again if it can't be opened, as by a sink."""
         device = self.device(**settings)
-        device.open()
+        try:
+            device.open()
+        except SinkError:
+            device.close()
+            raise
         return device
 
     @property
@@ -310,16 +316,16 @@ class Feetech(OnALine):
     wrong = ("checksum", "identifier", "short")
     waits = ("servo_bank._SLOW_ANSWER_MS",)
     question = feetech_bus.packet(1, feetech_bus.READ, bytes([56, 2]))
-    model, middle, unit_name, hand_name = "sts3215", 2048, "step", "leap_hand"
+    model, middle, unit_name = "sts3215", 2048, "step"
 
     def make(self) -> Any:
-        self.joints = load_hand(self.hand_name, side="right").actuated_names
+        self.joints = load_hand("inspire_hand", side="right").actuated_names
         return feetech_bus.FeetechBus({k + 1: self.model for k in range(len(self.joints))})
 
     def text(self, port: object, **settings: object) -> str:
         table = self.folder / "feetech.toml"
         table.write_text(
-            f'format = 1\ndriver = "feetech"\nhand = "{self.hand_name}"\nside = "right"\n'
+            f'format = 1\ndriver = "feetech"\nhand = "inspire_hand"\nside = "right"\n'
             f'unit = "{self.unit_name}"\nlimit = 60.0\n'
             + "".join(
                 f'[[actuators]]\nname = "{joint}"\nid = {k + 1}\njoint = "{joint}"\n'
@@ -351,7 +357,7 @@ class Feetech(OnALine):
 
 
 class FeetechScs(Feetech):
-    model, middle, unit_name, hand_name = "scs0009", 511, "scs_step", "inspire_hand"
+    model, middle, unit_name = "scs0009", 511, "scs_step"
 
     def limits(self) -> list[float]:
         return []
