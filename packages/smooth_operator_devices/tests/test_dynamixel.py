@@ -1,13 +1,11 @@
-"""The Dynamixel driver against servos on a pseudo-terminal that speak protocol 2.0."""
+"""The Dynamixel driver against servos on a serial line that speak protocol 2.0."""
 
-import contextlib
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 import pytest
+from dynamixel_bank import ServoBank, crc16, packet
 from live_time import until
 from ticks import make_tick
 
@@ -16,22 +14,15 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import JointCommand
 from smooth_operator_devices.hands.device import WrongAnswerError
+from smooth_operator_devices.hands.drivers.dynamixel import LeapSink
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
-pytest.importorskip("dynamixel_sdk", reason="the extra dynamixel is not installed")
-if sys.platform == "win32":
-    pytest.skip("needs pseudo-terminals", allow_module_level=True)
-
-from dynamixel_bank import ServoBank, crc16, packet
-
-from smooth_operator_devices.hands.drivers.dynamixel import LeapSink
+pytest_plugins = ["hand_rig_fixtures"]
 
 IDS = list(range(16))
-
-T = TypeVar("T")
 
 
 @pytest.fixture(scope="module")
@@ -40,24 +31,8 @@ def hand() -> Hand:
 
 
 @pytest.fixture
-def bank() -> Iterator[ServoBank]:
-    bank = ServoBank(IDS)
-    yield bank
-    bank.unplug()
-
-
-@pytest.fixture(autouse=True)
-def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator_devices.hands.hardware_sink._RETRY_S", 0.05)
-
-
-def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:
-    """Result of an action on the bus, retried as by a worker, since a busy machine is late."""
-    for _ in range(5):
-        with contextlib.suppress(WrongAnswerError):
-            return action()
-        between()
-    return action()
+def bank(rigs) -> ServoBank:
+    return rigs("leap", patience=0.036).hand  # as it is without a test
 
 
 def calm(sink: HardwareSink) -> bool:
@@ -65,11 +40,11 @@ def calm(sink: HardwareSink) -> bool:
     return not any(word in sink.note for word in ("approaches", "waiting", "retrying", "no answer"))
 
 
-def tick_at(hand: Hand, share: float, mode: Mode = Mode.TRACKING) -> Tick:
+def tick_at(hand: Hand, share: float) -> Tick:
     """A command at a share of every joint's range."""
     low, high = hand.limits.T
     q = hand.full_configuration(low + share * (high - low))
-    return replace(make_tick(hand, mode=mode), command=JointCommand(q, hand.joint_names))
+    return replace(make_tick(hand), command=JointCommand(q, hand.joint_names))
 
 
 class Run:
@@ -121,18 +96,14 @@ def test_a_leap_hand_boots_approaches_and_is_read_back(bank, hand, fast):
         run.until(lambda: calm(run.sink) and run.at(0.5))
         first = bank.goals[0]
         assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in first.values())
-        until(lambda: np.abs(_measured(run) - run.tick.command.joint_positions).max() < 0.02)
+        wanted = run.tick.command.joint_positions
+        until(lambda: np.abs(run.sink.state("right").positions - wanted).max() < 0.02)
         assert servo.get(98, 1) == 25  # the servos' own watchdog: half a second
         state = run.sink.state("right")
         assert set(state.temperatures.tolist()) == {33.0}
     until(lambda: not any(servo.torque for servo in bank.servos.values()))
     until(lambda: bank.servos[0].get(98, 1) == 0)
     assert bank.bad == 0
-
-
-def _measured(run: Run) -> np.ndarray:
-    state = run.sink.state("right")
-    return state.positions
 
 
 def test_servos_that_stopped_themselves_follow_again(bank, hand):
@@ -148,24 +119,16 @@ def test_servos_that_stopped_themselves_follow_again(bank, hand):
         run.until(lambda: calm(run.sink) and run.at(0.6))
 
 
-def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(bank, hand):
-    sink = LeapSink(port=bank.path, baud=57600)
-    device = sink.device(sink.actuators("right"))
-    patiently(device.open, device.close)
-    start, servo = patiently(device.read).positions, bank.servos[3]
-    takes = servo.write
+def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(rigs):
+    rig = rigs("leap")
+    device, servo = rig.open(), rig.hand.servos[3]
+    start, takes = device.read().positions, servo.write
     servo.write = lambda address, data: 0 if address == 64 else takes(address, data)
-
-    def refused() -> bool:
-        with pytest.raises(WrongAnswerError) as caught:
-            device.write(start)
-        return "a servo did not switch its torque on" in str(caught.value)
-
-    until(refused)
+    with pytest.raises(WrongAnswerError, match="a servo did not switch its torque on"):
+        device.write(start)
     servo.write = takes
-    patiently(lambda: device.write(start))
+    device.write(start)
     until(lambda: servo.torque)
-    device.close()
 
 
 def test_servos_with_another_control_table_are_refused(bank, hand):
