@@ -4,7 +4,7 @@ Sources, by the maker (Linkerbot):
 
 - `linkerbot` 0.5.4 (package index; `linkerbot-py` 0.5.1, its predecessor, has the same frames),
   `linkerbot/hand/{o6,l6,l20lite,l25}/*.py`: identifiers, frames, counts of values, fault bits,
-  serial number and versions, touch rows.
+  touch rows.
 - github.com/linker-bot/linkerhand-python-sdk, commit b3713618 (2026-02-08),
   `LinkerHand/core/can/linker_hand_{o6,l6,l7,l10,l20,l21,l25,g20}_can.py` and
   `LinkerHand/linker_hand_api.py`: the same, and L7, L10, L20, L21, G20.
@@ -22,8 +22,7 @@ Where the sources differ:
 - L25: linkerhand-python-sdk puts abduction of the four fingers into the second place of a finger's
   frame (yaw) and a middle joint into the fourth; linkerbot puts abduction into the first place
   and has no middle joint. Both are here: "L25" and "L25 linkerbot".
-- L20 lite: its frames are those of the L10, but the four frames of its serial number are numbered
-  0, 6, 12, 18, where all others have 0, 1, 2, 3.
+- L20 lite: its frames are those of the L10.
 - G20: the comment and the code of `linker_hand_g20_can.py` swap the first two places of the thumb.
   The code is followed.
 - O6: linkerhand-python-sdk reads a current (0x36), linkerbot has none. The hand answers it.
@@ -38,7 +37,7 @@ maker's programs wait 0.3 to 5 ms).
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import can
 import numpy as np
@@ -83,15 +82,11 @@ class Model:
     faults: Layout = field(default_factory=dict)
     currents: Layout = field(default_factory=dict)
     silent_writes: Layout = field(default_factory=dict)  # positions that are not answered
-    accelerations: Layout = field(default_factory=dict)
     clear: int | None = None  # kind that clears faults
     clears_by_fault_frame: bool = False  # a write of a fault frame clears, too
     touch_row: int = 6  # values of a row of the touch matrix
     touch_rows: int = 12
     touch_code: int = 0xC6
-    numbered_pcb_version: bool = False
-    version_frame: bool = False  # answers 0x64
-    serial_step: int = 1  # of the numbers of the serial number's frames
 
 
 def _run(first: int, count: int) -> tuple[int, ...]:
@@ -108,7 +103,6 @@ def _six(**changes: object) -> Model:
         temperatures={0x33: six},
         faults={0x35: six},
         currents={0x36: six},
-        version_frame=True,
         **changes,  # type: ignore[arg-type]
     )
 
@@ -148,12 +142,11 @@ _L10 = Model(
     speeds={0x05: _run(0, 5), 0x06: _run(5, 5)},
     temperatures={0x33: _run(0, 5), 0x34: _run(5, 5)},
     faults={0x35: _run(0, 5), 0x36: _run(5, 5)},
-    version_frame=True,
 )
 _SEVEN = _run(0, 7)
 MODELS = {
-    "O6": _six(accelerations={0x87: _run(0, 6)}, touch_row=4, touch_rows=10, touch_code=0xA4),
-    "L6": _six(clear=0x83, numbered_pcb_version=True),
+    "O6": _six(touch_row=4, touch_rows=10, touch_code=0xA4),
+    "L6": _six(clear=0x83),
     "L7": Model(
         (*_SIX, "thumb_roll"),
         positions={0x01: _SEVEN},
@@ -161,10 +154,9 @@ MODELS = {
         speeds={0x05: _SEVEN},
         temperatures={0x33: _SEVEN},
         faults={0x35: _SEVEN},
-        version_frame=True,
     ),
     "L10": _L10,
-    "L20 lite": replace(_L10, serial_step=6),
+    "L20 lite": _L10,
     "L20": Model(
         _TWENTY,
         positions={
@@ -221,8 +213,6 @@ class LinkerHand:
         count = len(self.model.joints)
         self.faults = Faults("identifier", "short")
         self.motors = Motors(np.full(count, 255.0), 400.0, clock=clock)
-        self.serial_number = f"LH{model[:2]}-01-001-{side[0].upper()}-A-1-A"
-        self.version = (1, 2, 3)
         self.touch = {
             finger: np.zeros((self.model.touch_rows, self.model.touch_row), dtype=np.uint8)
             for finger in _FIVE
@@ -235,7 +225,6 @@ class LinkerHand:
         count = len(self.model.joints)
         self.speeds = np.full(count, 255, dtype=int)
         self.torques = np.full(count, 255, dtype=int)
-        self.accelerations = np.full(count, 255, dtype=int)
         self.fault_bits = np.zeros(count, dtype=int)
         self.motors.place(self.motors.positions)
         self.motors.set_power(True)
@@ -276,26 +265,12 @@ class LinkerHand:
             if kind in model.silent_writes:
                 return []
             return [self._frame(kind, places, np.clip(self.motors.positions.round(), 0, 255))]
-        for frames, settings, apply in (
-            (model.torques, self.torques, None),
-            (model.speeds, self.speeds, self._limit_speed),
-            (model.accelerations, self.accelerations, None),
-        ):
+        for frames, settings in ((model.torques, self.torques), (model.speeds, self.speeds)):
             if kind in frames:
-                if values:
-
-                    def store(
-                        joint: int,
-                        value: int,
-                        settings: np.ndarray = settings,
-                        apply: object = apply,
-                    ) -> None:
-                        settings[joint] = value
-                        if apply is not None:
-                            apply(joint, value)  # type: ignore[operator]
-
-                    if not self._write(frames[kind], values, store):
-                        return []
+                if values and not self._write(frames[kind], values, settings.__setitem__):
+                    return []
+                for joint, speed in enumerate(self.speeds):
+                    self.motors.set_speed(joint, 400.0 * speed / 255)
                 return [self._frame(kind, frames[kind], settings)]
         if kind == model.clear and values:
             self._clear(range(len(model.joints)))
@@ -308,9 +283,10 @@ class LinkerHand:
             return [self._frame(kind, model.temperatures[kind], self.motors.temperatures)]
         if kind in model.currents:
             return [self._frame(kind, model.currents[kind], self.motors.currents * 255 / 1400)]
-        if kind in (0x81, 0x82) and model.clear == 0x83 and 0x41 in model.positions:
-            return self._write_fingers(kind, values)
-        return self._identity(kind, values)
+        if 0xB1 <= kind <= 0xB5 and values == bytes([model.touch_code]):
+            matrix = self.touch[_FIVE[kind - 0xB1]]
+            return [bytes([kind, row << 4, *matrix[row]]) for row in range(len(matrix))]
+        return []
 
     def _write(self, places: tuple[int | None, ...], values: bytes, store) -> bool:  # type: ignore[no-untyped-def]
         if len(values) != len(places):
@@ -323,43 +299,10 @@ class LinkerHand:
     def _move(self, joint: int, value: int) -> None:
         self.motors.move([value], [joint])
 
-    def _limit_speed(self, joint: int, value: int) -> None:
-        self.motors.set_speed(joint, 400.0 * value / 255)
-
     def _clear(self, joints) -> None:  # type: ignore[no-untyped-def]
         for joint in joints:
             self.fault_bits[joint] = 0
             self.motors.set_power(True, [joint])
 
-    def _write_fingers(self, kind: int, values: bytes) -> list[bytes]:
-        """Speed (0x81) or torque (0x82) of all joints of each finger."""
-        if len(values) != 5:
-            return []
-        for finger, value in zip(_FIVE, values, strict=True):
-            for joint, name in enumerate(self.model.joints):
-                if name.startswith(finger):
-                    (self.speeds if kind == 0x81 else self.torques)[joint] = value
-                    if kind == 0x81:
-                        self._limit_speed(joint, value)
-        return [bytes([kind]) + values]
-
     def _frame(self, kind: int, places: tuple[int | None, ...], values: np.ndarray) -> bytes:
         return bytes([kind, *(0 if place is None else int(values[place]) for place in places)])
-
-    def _identity(self, kind: int, values: bytes) -> list[bytes]:
-        model = self.model
-        if 0xB1 <= kind <= 0xB5 and values == bytes([model.touch_code]):
-            matrix = self.touch[_FIVE[kind - 0xB1]]
-            return [bytes([kind, row << 4, *matrix[row]]) for row in range(len(matrix))]
-        if kind == 0xC0:
-            number = self.serial_number.encode().ljust(24, b"\0")
-            parts = [number[6 * i : 6 * i + 6] for i in range(4)]
-            return [bytes([kind, i * model.serial_step]) + part for i, part in enumerate(parts)]
-        if kind == 0xC1 and model.numbered_pcb_version:
-            return [bytes([kind, 1, *self.version])] if values == b"\x01" else []
-        if kind in (0xC1, 0xC2, 0xC4):
-            return [bytes([kind, *self.version])]
-        if kind == 0x64 and model.version_frame:
-            side = ord(self.side[0].upper())
-            return [bytes([kind, len(model.joints), 3, 10, side, 0x11, 0x22, 1])]
-        return []

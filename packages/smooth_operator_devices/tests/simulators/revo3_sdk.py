@@ -19,8 +19,8 @@ Errors are SdkError with code, retryable, operation_effect and recovery_requirem
 
 Not found: what the hand does when a session expires (here it holds its target), whether
 targets out of range are refused (here they are, as InvalidArgument), fault codes of motors, the
-identifier of the layout, and defaults of the gains. Touch, calibration, configuration, updates,
-currents and the SDK's own trajectories (`move_to` and the like) are not here.
+identifier of the layout, and defaults of the gains. Only what the driver uses is here: no touch,
+calibration, configuration, updates, nor the SDK's own trajectories (`move_to` and the like).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import enum
 import math
 import time
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,29 +50,9 @@ RANGES = np.array(  # degrees
 COUNT = 21
 
 
-class _Int(enum.Enum):
-    def __int__(self) -> int:
-        return self.value
-
-
-HandSide = _Int("HandSide", {"Left": 0, "Right": 1})
-HandControlMode = _Int("HandControlMode", {"Position": 0, "Damping": 5, "Mit": 6})
-Revo3Model = _Int(
-    "Revo3Model",
-    {
-        "Ultra": 20,
-        "UltraTouch": 21,
-        "UltraVisionTouch": 22,
-        "Pro": 23,
-        "ProTouch": 24,
-        "Basic": 26,
-        "BasicTouch": 27,
-    },
-)
-SafetyState = _Int(
-    "SafetyState", {"Operational": 0, "RecoveryRequired": 1, "Faulted": 2, "Unknown": 3}
-)
-SdkErrorCode = _Int(
+HandSide = enum.Enum("HandSide", {"Left": 0, "Right": 1})
+Revo3Model = enum.Enum("Revo3Model", {"Ultra": 20, "UltraVisionTouch": 22, "Pro": 23})
+SdkErrorCode = enum.Enum(
     "SdkErrorCode",
     {
         "ConnectionFailed": 1,
@@ -85,45 +65,13 @@ SdkErrorCode = _Int(
         "ControlConflict": 8,
     },
 )
-ServoSessionState = _Int("ServoSessionState", {"Active": 0, "Expired": 1, "Closed": 2})
-ProtocolType = _Int("ProtocolType", {"Auto": 0, "Modbus": 1, "CanFd": 3})
-TimestampClock = _Int("TimestampClock", {"ProcessMonotonic": 0, "UnixRealtime": 1})
-OperationEffect = _Int(
-    "OperationEffect", {"NotApplied": 1, "PartiallyApplied": 2, "Indeterminate": 3}
-)
-RecoveryRequirement = _Int(
-    "RecoveryRequirement", {"None": 0, "Retry": 1, "Reconnect": 2, "OperatorAction": 3}
-)
-Rs485Baudrate = _Int(
-    "Rs485Baudrate", {"Baud1Mbps": 1, "Baud2Mbps": 2, "Baud3Mbps": 3, "Baud5Mbps": 5}
-)
-CanFdBaudrate = _Int(
-    "CanFdBaudrate", {"Baud1Mbps": 1, "Baud2Mbps": 2, "Baud4Mbps": 4, "Baud5Mbps": 5}
-)
+ServoSessionState = enum.Enum("ServoSessionState", {"Active": 0, "Expired": 1, "Closed": 2})
 
 
 class SdkError(RuntimeError):
-    def __init__(
-        self,
-        code: enum.Enum,
-        message: str,
-        *,
-        retryable: bool = False,
-        effect: enum.Enum = OperationEffect.NotApplied,
-        recovery: str = "None",
-    ) -> None:
+    def __init__(self, code: SdkErrorCode, message: str) -> None:
         super().__init__(message)
-        self.code, self.message, self.retryable = code, message, retryable
-        self.operation_effect = effect
-        self.recovery_requirement = RecoveryRequirement[recovery]
-        self.low_level_cause: str | None = None
-
-
-@dataclass
-class Timestamp:
-    sec: int
-    nsec: int
-    clock: enum.Enum = TimestampClock.ProcessMonotonic
+        self.code, self.message = code, message
 
 
 @dataclass
@@ -131,53 +79,22 @@ class HandState:
     positions_deg: list[float]
     velocities_rpm: list[float]
     currents_ma: list[float]
-    operating_states: list[int]
-    timestamp: Timestamp
 
 
 @dataclass
 class HealthSnapshot:
     motor_fault_codes: list[int]
-    safety_state: enum.Enum
-    observed_at: Timestamp
-    temperature_c: int = 30
-    voltage_v: float = 24.0
-    current_ma: int = 200
-    power_w: float = 4.8
-    error_code: int = 0
-    system_state: int = 0
 
 
 @dataclass
 class DeviceInfo:
-    serial_number: str
-    hand_side: enum.Enum
-    model: enum.Enum
-    hardware_revision: str = "A"
-    product_code: str | None = "R3U"
-    motor_serial_numbers: list[str] = field(default_factory=list)
-    touch_serial_numbers: list[str] = field(default_factory=list)
-
-
-@dataclass
-class DetectedDevice:
-    port_name: str
-    slave_id: int
-    protocol_type: enum.Enum
-    serial_number: str | None
-    hand_side: enum.Enum | None
-    model: enum.Enum | None
-    firmware_version: str | None = "1.0.0"
-    hardware_revision: str | None = "A"
-    nominal_baudrate_bps: int = 1_000_000
-    data_baudrate_bps: int = 5_000_000
+    hand_side: HandSide
+    model: Revo3Model
 
 
 @dataclass
 class JointLayout:
     joint_count: int = COUNT
-    layout_id: str = "revo3-ultra-21"
-    version: int = 1
 
 
 @dataclass
@@ -189,50 +106,34 @@ class Revo3:
     hand.faults.silent = True                          # outage: SdkError Timeout
     hand.faults.answer_wrongly("timeout")              # or "fault": one call fails
     hand.motors.stuck.add(4); hand.motor_faults[4] = 8; hand.reboot()
-    hand.motors.positions, hand.control_mode, hand.sent    # state [degrees]; commands it got
+    hand.motors.positions, hand.sent                   # state [degrees]; commands it got
     """
 
     side: str = "right"
     port: str = "/dev/ttyUSB0"
-    model: enum.Enum = Revo3Model.Ultra
+    model: Revo3Model = Revo3Model.Ultra
     clock: Clock = time.monotonic
     faults: Faults = field(default_factory=lambda: Faults("timeout", "fault"))
 
     def __post_init__(self) -> None:
-        self.serial_number = f"R3U{self.side[0].upper()}0000001"
-        self.slave_id = 0x7E if self.side == "left" else 0x7F
         self.motors = Motors(np.zeros(COUNT), 360.0, clock=self.clock)
-        self.offline: set[int] = set()
         self.sent: list[tuple[str, object]] = []
         self.reboot()
 
     def reboot(self) -> None:
-        """Switch the hand off and on: position mode, no faults; open hands lose it."""
-        self.control_mode = HandControlMode.Position
+        """Switch the hand off and on: no faults, no sessions."""
         self.motor_faults = [0] * COUNT
         self.sessions: list[ServoSession] = []
         self.motors.place(self.motors.positions)
         self.motors.set_power(True)
-        self.generation = getattr(self, "generation", 0) + 1
-
-    def now(self) -> Timestamp:
-        """The time of a message."""
-        seconds = self.clock()
-        return Timestamp(int(seconds), int(seconds % 1 * 1e9))
 
     def transact(self) -> None:
         """Raise what a failing exchange raises."""
         wrong = self.faults.next_wrong()
         if self.faults.silent or wrong == "timeout":
-            raise SdkError(
-                SdkErrorCode.Timeout,
-                "device did not answer",
-                retryable=True,
-                effect=OperationEffect.Indeterminate,
-                recovery="Retry",
-            )
+            raise SdkError(SdkErrorCode.Timeout, "device did not answer")
         if wrong == "fault":
-            raise SdkError(SdkErrorCode.DeviceFault, "device fault", recovery="OperatorAction")
+            raise SdkError(SdkErrorCode.DeviceFault, "device fault")
 
     def move(self, kind: str, joints: Sequence[int], targets: Sequence[float]) -> None:
         """Check a command of positions and send it."""
@@ -260,7 +161,7 @@ class ServoSession:
         self._fed, self._closed, self._expired = hand.clock(), False, False
 
     @property
-    def state(self) -> enum.Enum:
+    def state(self) -> ServoSessionState:
         if self._closed:
             return ServoSessionState.Closed
         if self._hand.clock() - self._fed > self._timeout:
@@ -296,12 +197,6 @@ class Motion:
         self._hand.sessions.append(session)
         return session
 
-    async def set_control_mode(self, mode: enum.Enum) -> None:
-        self._alone()
-        self._hand.transact()
-        self._hand.control_mode = mode
-        self._hand.motors.set_power(mode is not HandControlMode.Damping)
-
     async def set_zero_force_enabled(self, enabled: bool) -> None:
         self._alone()
         self._hand.transact()
@@ -319,8 +214,6 @@ class State:
             motors.positions.tolist(),
             (motors.velocities / 6).tolist(),
             motors.currents.tolist(),
-            [0] * COUNT,
-            self._hand.now(),
         )
 
 
@@ -330,9 +223,7 @@ class Health:
 
     async def snapshot(self) -> HealthSnapshot:
         self._hand.transact()
-        faults = list(self._hand.motor_faults)
-        state = SafetyState.Faulted if any(faults) else SafetyState.Operational
-        return HealthSnapshot(faults, state, self._hand.now())
+        return HealthSnapshot(list(self._hand.motor_faults))
 
     async def clear_motor_faults(self) -> None:
         self._hand.transact()
@@ -347,12 +238,9 @@ class Health:
 class Hand:
     def __init__(self, hand: Revo3) -> None:
         self._hand = hand
-        self.slave_id = hand.slave_id
         self.state, self.health = State(hand), Health(hand)
         self.joint_layout: JointLayout | None = JointLayout()
-        self.device_info: DeviceInfo | None = DeviceInfo(
-            hand.serial_number, HandSide[hand.side.capitalize()], hand.model
-        )
+        self.device_info = DeviceInfo(HandSide[hand.side.capitalize()], hand.model)
 
     @property
     def motion(self) -> Motion:
@@ -366,82 +254,22 @@ class Hand:
         for session in self._hand.sessions:
             session.close()
 
-    async def __aenter__(self) -> Hand:
-        return self
-
-    async def __aexit__(self, _exc_type: object, _exc_value: object, _traceback: object) -> None:
-        await self.close()
-
 
 def revo3_modules(*hands: Revo3) -> dict[str, types.ModuleType]:
     """The modules of the stand-in, for `installed`, with the given hands on their ports."""
 
     class Manager:
-        async def discover(
-            self,
-            scan_all: bool = False,
-            port: str | None = None,
-            protocol: enum.Enum | None = None,
-            slave_id: int | None = None,
-            modbus_baudrate: enum.Enum | None = None,
-            canfd_data_baudrate: enum.Enum | None = None,
-            broadcast: bool = True,
-            on_found: Callable[[DetectedDevice], bool | None] | None = None,
-        ) -> list[DetectedDevice]:
-            found = [
-                DetectedDevice(
-                    hand.port,
-                    hand.slave_id,
-                    ProtocolType.Modbus,
-                    hand.serial_number,
-                    HandSide[hand.side.capitalize()],
-                    hand.model,
-                )
-                for hand in hands
-                if not hand.faults.silent
-                and port in (None, hand.port)
-                and slave_id in (None, hand.slave_id)
-            ]
-            return found if scan_all else found[:1]
-
-        async def connect(self, detected: DetectedDevice, model: enum.Enum | None = None) -> Hand:
+        async def connect_auto(self, port: str | None = None) -> Hand:
             for hand in hands:
-                if (hand.port, hand.slave_id) == (detected.port_name, detected.slave_id):
+                if port in (None, hand.port) and not hand.faults.silent:
                     hand.transact()
                     return Hand(hand)
-            raise SdkError(SdkErrorCode.ConnectionFailed, "no device", recovery="Reconnect")
-
-        async def connect_auto(
-            self,
-            port: str | None = None,
-            protocol: enum.Enum | None = None,
-            slave_id: int | None = None,
-            modbus_baudrate: enum.Enum | None = None,
-            canfd_data_baudrate: enum.Enum | None = None,
-            broadcast: bool = True,
-            model: enum.Enum | None = None,
-        ) -> Hand:
-            found = await self.discover(port=port, slave_id=slave_id)
-            if not found:
-                raise SdkError(SdkErrorCode.ConnectionFailed, "no device", recovery="Reconnect")
-            return await self.connect(found[0])
+            raise SdkError(SdkErrorCode.ConnectionFailed, "no device")
 
         async def close(self) -> None:
             pass
 
-        async def __aenter__(self) -> Manager:
-            return self
-
-        async def __aexit__(
-            self, _exc_type: object, _exc_value: object, _traceback: object
-        ) -> None:
-            await self.close()
-
-    public = (HandSide, HandControlMode, Revo3Model, SafetyState, SdkErrorCode, ServoSessionState)
-    public += (ProtocolType, TimestampClock, OperationEffect, RecoveryRequirement, Rs485Baudrate)
-    public += (CanFdBaudrate, SdkError, Timestamp, HandState, HealthSnapshot, DeviceInfo, Health)
-    public += (DetectedDevice, JointLayout, ServoSession, Motion, State, Hand)
-    public += (Manager,)
-    main = module("bc_revo3_sdk.main_mod", **{one.__name__: one for one in public})
-    main.get_sdk_version = lambda: "2.3.2"
+    public = (HandSide, Revo3Model, SdkErrorCode, ServoSessionState, SdkError, HandState)
+    public += (HealthSnapshot, DeviceInfo, JointLayout, ServoSession, Motion, State, Health, Hand)
+    main = module("bc_revo3_sdk.main_mod", **{one.__name__: one for one in (*public, Manager)})
     return {"bc_revo3_sdk": module("bc_revo3_sdk", main_mod=main), "bc_revo3_sdk.main_mod": main}

@@ -15,12 +15,11 @@ that it needs a restart. The package has no `control_mode` of a Wuji Hand 2: `Co
 `ControlModeVec` exist, and no call takes them.
 
 Importing the real package prints a privacy notice: it reports its use, unless
-WUJI_TELEMETRY_DISABLE=1 is set.
+WUJI_TELEMETRY_DISABLE=1 is set. Only what the driver uses is here.
 
-Not found: defaults (here: not enabled, effort limit 1.5 A), ranges of the joints, the
-numbers and names of `ext_state` (here 0 "Disabled", 1 "Enabled", 2 "Fault"), the native rate of the
-states (here 500 Hz) and how many frames wait unread (here one), the texts of exceptions in an
-outage, whether a joint's fault stops the others (here it does not), and after which time without
+Not found: defaults (here: not enabled, effort limit 1.5 A), ranges of the joints, the native rate
+of the states (here 500 Hz) and how many frames wait unread (here one), the texts of exceptions in
+an outage, whether a joint's fault stops the others (here it does not), and after which time without
 commands CommTimeout (0x1002) comes (here never).
 """
 
@@ -36,20 +35,14 @@ import numpy as np
 from .common import Clock, Faults, Motors
 from .sdk import module
 
-FINGERS = ("thumb", "index", "middle", "ring", "pinky")
-COMM_TIMEOUT, OVER_TEMPERATURE, STALL, OVERCURRENT, HARDWARE_DAMAGE = (
-    0x1002,
-    0x1003,
-    0x0007,
-    0x2102,
-    0x3203,
-)
-_FAULTS = {  # name, severity, clear policy: what the package says of these codes
-    STALL: ("Stall", "Warning", "AutoClear"),
-    COMM_TIMEOUT: ("CommTimeout", "DeferredStop", "AutoClear"),
-    OVER_TEMPERATURE: ("OverTemperature", "DeferredStop", "AutoClear"),
-    OVERCURRENT: ("Overcurrent", "ImmediateStop", "ManualClear"),
-    HARDWARE_DAMAGE: ("HardwareDamage", "Fatal", "NonClearable"),
+STALL, OVERCURRENT = 0x0007, 0x2102
+_FAULTS = {  # what the package says of these codes
+    STALL: {"name": "Stall", "severity": "Warning", "clear_policy": "AutoClear"},
+    OVERCURRENT: {
+        "name": "Overcurrent",
+        "severity": "ImmediateStop",
+        "clear_policy": "ManualClear",
+    },
 }
 
 
@@ -69,41 +62,9 @@ class Handedness:
     Left, Right = _Member("Handedness.Left"), _Member("Handedness.Right")
 
 
-class DeviceType:
-    Unknown, WujiGlove = _Member("DeviceType.Unknown"), _Member("DeviceType.WujiGlove")
-    WujiHand2, WujiHand = _Member("DeviceType.WujiHand2"), _Member("DeviceType.WujiHand")
-
-
-class TransportType:
-    Usb, Udp = _Member("TransportType.Usb"), _Member("TransportType.Udp")
-
-
-@dataclass
-class ConnectOptions:
-    timeout_ms: int = 1000
-    retry_count: int = 3
-    enable_bridge: bool = True
-    auto_time_sync_interval_ms: int | None = 30000
-
-
-@dataclass
-class DiscoveredDevice:
-    sn: str
-    address: str
-    transport_type: _Member
-    device_type: _Member
-
-
 class JointCommand:
     def __init__(self, position: float, velocity: float, effort: float) -> None:
         self.position, self.velocity, self.effort = float(position), float(velocity), float(effort)
-
-
-@dataclass
-class FrameHeader:
-    seq: int
-    timestamp_us: int
-    frame_id: str = ""
 
 
 @dataclass
@@ -115,41 +76,20 @@ class JointStateEntry:
 
 
 @dataclass
-class StatusWord:
-    ext_state: int
-    position_limit_active: bool = False
-    velocity_limit_active: bool = False
-    current_limit_active: bool = False
-
-
-@dataclass
 class JointDiagnosticsEntry:
     nid: int
-    status_word: StatusWord
-    current: float
-    vbus_v_fb: float
     mcu_temp_c_fb: float
     error_code_current: int
-    comm_response_rate_pct: int = 100
-    comm_timeout_total: int = 0
 
 
 @dataclass
-class _Frame:
-    header: FrameHeader
-    num_joints: int
-    joints: list
-
-    def __len__(self) -> int:
-        return len(self.joints)
+class JointStateFrame:
+    joints: list[JointStateEntry]
 
 
-class JointStateFrame(_Frame):
-    pass
-
-
-class JointDiagnosticsFrame(_Frame):
-    pass
+@dataclass
+class JointDiagnosticsFrame:
+    joints: list[JointDiagnosticsEntry]
 
 
 @dataclass
@@ -173,7 +113,6 @@ class Hand:
 
     def __post_init__(self) -> None:
         self.sn = self.sn or "WH2" + ("J" if self.side == "left" else "K") + "0000001"
-        self.address = "192.168.1.100:7447"
         self.motors = Motors(np.zeros(20), 6.0, clock=self.clock)
         self.connected = False
         self.commands: list[list[tuple[float, float, float]]] = []
@@ -227,32 +166,19 @@ class Hand:
         joints = [joint for joint in range(20) if joint not in self.offline]
         return joints[1:] if self.faults.next_wrong() == "missing" else joints
 
-    def states(self, sequence: int) -> JointStateFrame:
+    def states(self) -> JointStateFrame:
         """A frame of states of this moment."""
-        positions, velocities = self.motors.positions, self.motors.velocities
-        efforts = self.motors.currents / 1000
-        entries = [
-            JointStateEntry(_nid(j), float(positions[j]), float(velocities[j]), float(efforts[j]))
-            for j in self._online()
-        ]
-        return JointStateFrame(self._header(sequence), len(entries), entries)
+        motors = self.motors
+        rows = zip(motors.positions, motors.velocities, motors.currents / 1000, strict=True)
+        values = [[float(value) for value in row] for row in rows]
+        return JointStateFrame([JointStateEntry(_nid(j), *values[j]) for j in self._online()])
 
-    def diagnostics(self, sequence: int) -> JointDiagnosticsFrame:
+    def diagnostics(self) -> JointDiagnosticsFrame:
         """A frame of diagnostics of this moment."""
-        currents = self.motors.currents / 1000
-        entries = []
-        for j in self._online():
-            state = 2 if self.codes[j] >= 0x1000 else int(self.enabled[j])
-            temperature = float(self.motors.temperatures[j])
-            entries.append(
-                JointDiagnosticsEntry(
-                    _nid(j), StatusWord(state), float(currents[j]), 24.0, temperature, self.codes[j]
-                )
-            )
-        return JointDiagnosticsFrame(self._header(sequence), len(entries), entries)
-
-    def _header(self, sequence: int) -> FrameHeader:
-        return FrameHeader(sequence, int(self.clock() * 1e6))
+        heat = self.motors.temperatures
+        return JointDiagnosticsFrame(
+            [JointDiagnosticsEntry(_nid(j), float(heat[j]), self.codes[j]) for j in self._online()]
+        )
 
 
 def _nid(joint: int) -> int:
@@ -260,10 +186,9 @@ def _nid(joint: int) -> int:
 
 
 class Subscription:
-    def __init__(self, hand: Hand, make: Callable[[int], object], rate: float) -> None:
+    def __init__(self, hand: Hand, make: Callable[[], object], rate: float) -> None:
         self._hand, self._make, self._rate = hand, make, rate
-        self._sequence, self._next, self._closed = 0, hand.clock(), False
-        self.dtype, self.stream_id = "", 1
+        self._next, self._closed = hand.clock(), False
 
     def recv(self) -> object:
         if self._closed or not self._hand.connected:
@@ -272,15 +197,14 @@ class Subscription:
         if self._hand.faults.silent or now < self._next:
             return None
         self._next = now + 1 / self._rate
-        self._sequence += 1
-        return self._make(self._sequence)
+        return self._make()
 
     def close(self) -> None:
         self._closed = True
 
 
 class _States:
-    def __init__(self, hand: Hand, make: Callable[[int], object], rate: float) -> None:
+    def __init__(self, hand: Hand, make: Callable[[], object], rate: float) -> None:
         self._arguments = (hand, make, rate)
 
     def subscribe(self) -> Subscription:
@@ -338,13 +262,8 @@ class _Value:
 
 
 class WujiHand2:
-    def __init__(self, hand: Hand, device_name: str) -> None:
+    def __init__(self, hand: Hand) -> None:
         self._hand = hand
-        self.serial_number, self.device_name = hand.sn, device_name
-
-    @property
-    def is_connected(self) -> bool:
-        return self._hand.connected and not self._hand.faults.silent
 
     def _masked(self, joints: list[int] | None) -> list[int]:
         self._hand.check()
@@ -392,74 +311,32 @@ class WujiHand2:
 
     @staticmethod
     def describe_error(code: int) -> dict[str, object] | None:
-        if code not in _FAULTS:
-            return None
-        name, severity, policy = _FAULTS[code]
-        texts = dict.fromkeys(
-            ("desc", "cause", "resolution", "desc_zh", "cause_zh", "resolution_zh"), name
-        )
-        known = {"code": code, "name": name, "severity": severity, "clear_policy": policy}
-        return {**known, "is_test": False, **texts}
+        return _FAULTS.get(code)
 
 
 def wuji_modules(*hands: Hand) -> dict[str, types.ModuleType]:
     """The module of the stand-in, for `installed`, with the given hands on the network."""
 
     class SdkManager:
-        _devices: dict[str, WujiHand2] = {}  # noqa: RUF012
-
         @staticmethod
         def instance() -> SdkManager:
             return manager
 
-        def scan(self) -> list[DiscoveredDevice]:
-            return [
-                DiscoveredDevice(h.sn, h.address, TransportType.Udp, DeviceType.WujiHand2)
-                for h in hands
-                if not h.faults.silent
-            ]
-
         def connect(
-            self,
-            *,
-            sn: str | None = None,
-            address: str | None = None,
-            handedness: _Member | None = None,
-            device_name: str,
-            options: ConnectOptions | None = None,
+            self, *, sn: str | None = None, handedness: _Member | None = None, device_name: str
         ) -> WujiHand2:
-            if [sn, address, handedness].count(None) != 2:
+            if (sn is None) == (handedness is None):
                 raise WujiException("Must specify exactly one of 'sn', 'address', or 'handedness'")
             letter = {Handedness.Left: "J", Handedness.Right: "K"}.get(handedness)
-            found = [
-                h
-                for h in hands
-                if not h.faults.silent
-                and (h.sn == sn or h.address == address or (letter and h.sn[3] == letter))
-            ]
+            found = [h for h in hands if not h.faults.silent and (h.sn == sn or h.sn[3] == letter)]
             if len(found) != 1:
                 raise WujiException("Device not found" if not found else "Multiple devices found")
             found[0].connected = True
-            self._devices[device_name] = WujiHand2(found[0], device_name)
-            return self._devices[device_name]
-
-        def auto_connect(self, device_name: str) -> WujiHand2:
-            found = self.scan()
-            if len(found) != 1:
-                raise WujiException("Device not found" if not found else "Multiple devices found")
-            return self.connect(sn=found[0].sn, device_name=device_name)
+            return WujiHand2(found[0])
 
     manager = SdkManager()
-    public = (
-        WujiException,
-        Handedness,
-        DeviceType,
-        TransportType,
-        ConnectOptions,
-    )
-    public += (DiscoveredDevice, JointCommand, FrameHeader, JointStateEntry, StatusWord)
-    public += (JointStateFrame, JointDiagnosticsEntry, JointDiagnosticsFrame, Subscription)
-    public += (JointCommandPublisher, WujiHand2, SdkManager)
-
+    public = (WujiException, Handedness, JointCommand, JointStateEntry, JointDiagnosticsEntry)
+    public += (JointStateFrame, JointDiagnosticsFrame, Subscription, JointCommandPublisher)
+    public += (WujiHand2, SdkManager)
     members = {one.__name__: one for one in public}
     return {"wuji_sdk": module("wuji_sdk", **members)}
