@@ -10,12 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
-from smooth_operator_devices.hands.device import (
-    DeviceLostError,
-    Reading,
-    Setting,
-    WrongAnswerError,
-)
+from smooth_operator_devices.hands.device import DeviceLostError, Reading, Setting, WrongAnswerError
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 

@@ -165,9 +165,7 @@ class StarkContext:
     async def get_device_info(self, slave_id: int) -> Any:
         await self.world.answer(slave_id)
         return types.SimpleNamespace(
-            hand_type=self.world.type,
-            hardware_type="Revo2Basic",
-            uses_revo2_motor_api=lambda: True,
+            hand_type=self.world.type, hardware_type="Revo2Basic", uses_revo2_motor_api=lambda: True
         )
 
     async def set_finger_unit_mode(self, slave_id: int, mode: FingerUnitMode) -> None:

@@ -62,9 +62,10 @@ def test_linker_touch_matrices(rigs, name, spy):
     while (asked := other.recv(timeout=0.05)) is not None:
         assert asked.data[0] < 0xB1  # it is not asked for them
     plain.close()
-    hand, device = rig.hand, rig.open(touch=1)
+    hand = rig.hand
     for k, matrix in enumerate(hand.touch.values()):
         matrix[:] = np.arange(matrix.size).reshape(matrix.shape) + k
+    device = rig.open(touch=1)
     assert device.read().pads == {}
     reading = until(lambda: (r := device.read()).pads and r)
     assert list(reading.pads) == ["thumb", "index", "middle", "ring", "little"]
@@ -187,10 +188,7 @@ def test_linker_models_are_those_of_the_simulator(model):
 
 @pytest.mark.parametrize(
     ("name", "error"),
-    [
-        ("allegro-v4", "hand: too hot"),
-        ("allegro-v5", "middle_1: input voltage, too hot, overload"),
-    ],
+    [("allegro-v4", "hand: too hot"), ("allegro-v5", "middle_1: input voltage, too hot, overload")],
 )
 def test_allegro_torques_have_the_sign_and_the_limit(name, error, rigs, monkeypatch):
     monkeypatch.setattr(f"{DRIVERS}.allegro._ASK_S", 0.05)

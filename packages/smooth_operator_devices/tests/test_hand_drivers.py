@@ -275,9 +275,7 @@ def test_a_hand_lost_in_motion_comes_back(rig):
 
 @pytest.mark.parametrize("seconds", [0.1, pytest.param(0.4, marks=pytest.mark.weekly)])
 @pytest.mark.parametrize(
-    "rig",
-    [name for name in BUSES if not name.startswith("allegro")],
-    indirect=True,
+    "rig", [name for name in BUSES if not name.startswith("allegro")], indirect=True
 )
 def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, seconds):
     """The operator goes on meanwhile, over half of the range."""
@@ -412,9 +410,7 @@ def right(rig: Rig, device: HandDevice) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("rig", "kind"),
-    [(name, kind) for name in BUSES for kind in RIGS[name].wrong],
-    indirect=["rig"],
+    ("rig", "kind"), [(name, kind) for name in BUSES for kind in RIGS[name].wrong], indirect=["rig"]
 )
 def test_wrong_answers_move_nothing_and_pass(rig, kind):
     rig.patience(0.2)

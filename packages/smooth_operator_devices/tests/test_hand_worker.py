@@ -17,12 +17,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.tick import HandState, Mode
 from smooth_operator.types import JointCommand
 from smooth_operator_devices.hands.actuator_map import BoundMap, read_table
-from smooth_operator_devices.hands.device import (
-    DeviceLostError,
-    Reading,
-    Setting,
-    WrongAnswerError,
-)
+from smooth_operator_devices.hands.device import DeviceLostError, Reading, Setting, WrongAnswerError
 from smooth_operator_devices.hands.guard import CommandGuard, GuardSettings
 from smooth_operator_devices.hands.hardware_sink import HandWorker
 

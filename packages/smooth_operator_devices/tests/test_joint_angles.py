@@ -10,11 +10,7 @@ import pytest
 from live_time import until
 from tracker_session import sender, started
 
-from smooth_operator.errors import (
-    ConfigError,
-    RecordingError,
-    SourceError,
-)
+from smooth_operator.errors import ConfigError, RecordingError, SourceError
 from smooth_operator.io.landmark_order import chirality
 from smooth_operator.landmarks import FINGERS, index
 from smooth_operator.synthetic.hand_anatomy import draw_anatomy

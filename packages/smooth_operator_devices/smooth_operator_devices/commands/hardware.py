@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -34,7 +33,7 @@ from smooth_operator_devices.hands.actuator_map import (
     write_table,
 )
 from smooth_operator_devices.hands.bus_lock import BusLock, serial_ports
-from smooth_operator_devices.hands.hardware_sink import HardwareSink, is_driver, real_hand
+from smooth_operator_devices.hands.hardware_sink import HardwareSink
 from smooth_operator_devices.hands.table_check import HELP, ActuatorMover, TableCheck, blank_table
 
 _REDRAW_S: Final = 0.2
@@ -53,7 +52,7 @@ def list_hardware(options: List) -> None:
             kind = entry.load()
         except SmoothOperatorError:
             continue  # A plugin may be broken, or need an extra to be loaded.
-        if is_driver(kind):
+        if getattr(kind, "moves_real_hand", False):
             drivers[name] = entry.summary
     tables, broken = [], []
     for path in list_tables():
@@ -130,8 +129,8 @@ def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, Act
         ConfigError: the device is not a real hand, or its table can't be used.
         SmoothOperatorError: there is no such sink, hand or setting.
     """
-    sink = real_hand(build_sink(device))
-    if sink is None:
+    sink = build_sink(device)
+    if not isinstance(sink, HardwareSink):
         raise ConfigError(
             f"{device!r} is not a real hand; smooth-operator hardware list lists the drivers"
         )
@@ -193,12 +192,11 @@ def _rows(headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
 
 def check_hardware(options: Check) -> None:
     """Moves the actuators of a hand one by one, and writes its table."""
-    table: ActuatorMap
     if options.ids is None:
         sink, table, hand = opened(options.device, options.side, options.hand)
     else:
-        device = real_hand(build_sink(options.device))
-        if device is None or options.hand is None:
+        device = build_sink(options.device)
+        if not isinstance(device, HardwareSink) or options.hand is None:
             raise ConfigError(
                 "--ids is for a real hand that has no table yet; choose its model with --hand"
             )
@@ -224,11 +222,8 @@ def check_hardware(options: Check) -> None:
     write_table(checked, output, f"Written by smooth-operator hardware check {options.device}")
     print(printable(f"\n{output}"))
     if options.output is not None:
-        print(
-            printable(
-                f"use this table with: teleop --sink {options.device},table={_absolute(output)}"
-            )
-        )
+        sink_text = f"{options.device},table={output.absolute()}"
+        print(printable(f"use this table with: teleop --sink {sink_text}"))
 
 
 def _ask(question: str) -> str:
@@ -249,7 +244,3 @@ def _ids(text: str) -> list[int]:
     if not 0 < len(ids) <= 100:
         raise ConfigError(f"--ids must be numbers such as 1-12 or 0,3,5, not {text!r}")
     return ids
-
-
-def _absolute(path: Path) -> str:
-    return str(path.absolute())

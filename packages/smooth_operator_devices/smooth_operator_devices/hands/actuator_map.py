@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias, get_args
@@ -106,15 +107,20 @@ class Actuator:
 
     def command(self, angle: float) -> float:
         """Command for a drive angle [rad]; not limited to the ends."""
-        angles, commands = np.array(self.points, float).T
+        angles, commands, _, _ = self._curve
         return _linear(angle, angles, commands)
 
     def angle(self, command: float) -> float:
-        """Drive angle [rad] of a command; also beyond the ends."""
-        angles, commands = np.array(self.points, float).T
-        if commands[0] > commands[-1]:
-            angles, commands = angles[::-1], commands[::-1]
+        """Drive angle [rad] of a command; also beyond the ends. NaN for NaN."""
+        _, _, commands, angles = self._curve
         return _linear(command, commands, angles)
+
+    @cached_property
+    def _curve(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Angles and commands by rising angle, and commands and angles by rising command."""
+        angles, commands = np.array(self.points, float).T
+        order = 1 if commands[-1] > commands[0] else -1
+        return angles, commands, commands[::order].copy(), angles[::order].copy()
 
 
 @dataclass(frozen=True)
@@ -252,7 +258,6 @@ class BoundMap:
                         "table with table=FILE.",
                     )
                 row[names.index(joint)] += weight
-        self._curves = [_curve(actuator.points) for actuator in actuators.actuators]
         self._cranks = _Cranks(actuators.actuators, names)
         self._weights = self._slopes(np.zeros(len(names)))
         # q = p(C qa + o) of the model's own couplings, and drive angles x = W q: solved for qa,
@@ -295,8 +300,8 @@ class BoundMap:
 
     def commands(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) commands for drive angles [rad], not limited to the ends."""
-        pairs = zip(angles, self._curves, strict=True)
-        return np.array([_linear(angle, curve[0], curve[1]) for angle, curve in pairs])
+        pairs = zip(self.table.actuators, angles, strict=True)
+        return np.array([actuator.command(angle) for actuator, angle in pairs])
 
     def clip(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """Clips commands to the ends."""
@@ -305,8 +310,8 @@ class BoundMap:
 
     def drive_angles(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
         """(a,) drive angles [rad] of commands or measured positions; NaN for NaN."""
-        pairs = zip(commands, self._curves, strict=True)
-        return np.array([_linear(value, curve[2], curve[3]) for value, curve in pairs])
+        pairs = zip(self.table.actuators, commands, strict=True)
+        return np.array([actuator.angle(value) for actuator, value in pairs])
 
     def joints(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
         """(n,) joint positions [rad] of measured positions.
@@ -409,16 +414,6 @@ class _Cranks:
         return np.asarray(np.einsum("ki,kij,kj->k", a, self._coefficients, b))
 
 
-_Curve: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-def _curve(points: Sequence[tuple[float, float]]) -> _Curve:
-    """Angles and commands by rising angle, and commands and angles by rising command."""
-    angles, commands = np.array(points, float).T
-    order = 1 if commands[-1] > commands[0] else -1
-    return angles, commands, commands[::order].copy(), angles[::order].copy()
-
-
 def _linear(value: ArrayLike, xs: np.ndarray, ys: np.ndarray) -> float:
     """Piecewise-linear through points, with the outer slopes beyond them; NaN for NaN."""
     value = float(np.asarray(value))
@@ -432,8 +427,6 @@ FORMAT: Final = 1
 """Version of the tables."""
 
 _MOST_BYTES: Final = 1_000_000
-_SIDES: Final[tuple[Side, Side]] = ("right", "left")
-_RESTS: Final = ("hold", "relax")
 
 UNITS: Final[Mapping[str, float]] = {
     "rad": 1.0,
@@ -509,14 +502,14 @@ def read_table(path: Path) -> ActuatorMap:
         return ActuatorMap(
             driver=top.text("driver", empty=False),
             hand=top.text("hand", empty=False),
-            side=top.choice("side", _SIDES),
+            side=top.choice("side", get_args(Side)),
             unit=unit,
             actuators=tuple(_actuator(each, unit) for each in top.tables("actuators")),
             limit=top.number("limit") if "limit" in top.values else None,
             rate=top.number("rate", 100.0),
-            on_silence=top.choice("on_silence", _RESTS, "hold"),
-            on_stop=top.choice("on_stop", _RESTS, "hold"),
-            on_end=top.choice("on_end", _RESTS, "relax"),
+            on_silence=top.choice("on_silence", get_args(Rest), "hold"),
+            on_stop=top.choice("on_stop", get_args(Rest), "hold"),
+            on_end=top.choice("on_end", get_args(Rest), "relax"),
             hot=top.number("hot", 65.0),
             settings=dict(top.table("settings", {}).values),
             contact=_contact(top.table("contact")) if "contact" in top.values else None,

@@ -13,7 +13,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.errors import MissingExtraError, SinkError
+from smooth_operator.errors import SinkError, require
 from smooth_operator.terminal import printable
 
 _FLAGS: Final = sum(getattr(os, f"O_{name}", 0) for name in ("NOFOLLOW", "NONBLOCK", "BINARY"))
@@ -202,10 +202,7 @@ def only_port(driver: str, extra: str) -> str:
         MissingExtraError: pyserial is not installed.
         SinkError: there is none, or more than one.
     """
-    try:
-        import serial  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(f"the driver {driver}", extra) from error
+    require(f"the driver {driver}", extra, "serial")
     ports = serial_ports()
     if len(ports) == 1:
         return next(iter(ports))

@@ -11,13 +11,15 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
+
+_T = TypeVar("_T")
 
 
 class DeviceLostError(SinkError):
@@ -142,8 +144,11 @@ class HandDevice(ABC):
                 f"{self._table.side} hand"
             )
 
-    def _not_open(self) -> DeviceLostError:
-        return DeviceLostError(f"{self.driver}: the hand is not open")
+    def _opened(self, part: _T | None) -> _T:
+        """A part that exists while the hand is open; DeviceLostError if it is closed."""
+        if part is None:
+            raise DeviceLostError(f"{self.driver}: the hand is not open")
+        return part
 
     @abstractmethod
     def open(self) -> None:

@@ -631,13 +631,3 @@ class HardwareSink(Sink):
                 "side=right or side=left, and a second sink for the other hand"
             )
         return next(iter(hands))
-
-
-def real_hand(sink: object) -> HardwareSink | None:
-    """Returns the sink if it moves a real hand, else None."""
-    return sink if isinstance(sink, HardwareSink) else None
-
-
-def is_driver(kind: object) -> bool:
-    """True for a class of sinks that move a real hand."""
-    return isinstance(kind, type) and issubclass(kind, HardwareSink)

@@ -35,12 +35,7 @@ from smooth_operator_devices.ros2.messages import (
     nanoseconds_of,
     time_of,
 )
-from smooth_operator_devices.ros2.transport import (
-    Endpoint,
-    Network,
-    Transport,
-    topic_name,
-)
+from smooth_operator_devices.ros2.transport import Endpoint, Network, Transport, topic_name
 
 Kind: TypeAlias = Literal["joint_state", "trajectory", "array"]
 """Type of the message: ``sensor_msgs/JointState``, ``trajectory_msgs/JointTrajectory`` or

@@ -26,12 +26,7 @@ from smooth_operator_devices.ros2.messages import (
     String,
     seconds_of,
 )
-from smooth_operator_devices.ros2.transport import (
-    Endpoint,
-    Network,
-    Transport,
-    topic_name,
-)
+from smooth_operator_devices.ros2.transport import Endpoint, Network, Transport, topic_name
 
 Kind: TypeAlias = Literal["pose_array", "json", "manus_glove", "pose"]
 """Type of the message: ``geometry_msgs/PoseArray``, ``std_msgs/String`` with JSON,

@@ -33,12 +33,7 @@ import numpy as np
 from smooth_operator.errors import MissingExtraError, RecordingError, brief, listed
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.headsets.repeats import Repeats
-from smooth_operator.poses import (
-    WORLD_AXES,
-    forearm_in_world,
-    points_to_ours,
-    wrist_from_landmarks,
-)
+from smooth_operator.poses import WORLD_AXES, forearm_in_world, points_to_ours, wrist_from_landmarks
 from smooth_operator.teleop.sources.inboxes import Inbox, Message, UdpInbox
 from smooth_operator.teleop.sources.payload import (
     MAX_BYTES,

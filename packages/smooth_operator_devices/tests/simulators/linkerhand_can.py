@@ -180,8 +180,7 @@ MODELS = {
         ("roll", "abd", "root", "middle", None, "tip"), (None, "abd", "root", None, None, "tip")
     ),
     "L25": _by_finger(
-        ("roll", "abd", "root", "middle", None, "tip"),
-        (None, "abd", "root", "middle", None, "tip"),
+        ("roll", "abd", "root", "middle", None, "tip"), (None, "abd", "root", "middle", None, "tip")
     ),
     "L25 linkerbot": _by_finger(
         ("abd", "yaw", "root", None, None, "tip"), ("abd", None, "root", None, None, "tip")

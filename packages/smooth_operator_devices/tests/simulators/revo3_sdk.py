@@ -211,9 +211,7 @@ class State:
         self._hand.transact()
         motors = self._hand.motors
         return HandState(
-            motors.positions.tolist(),
-            (motors.velocities / 6).tolist(),
-            motors.currents.tolist(),
+            motors.positions.tolist(), (motors.velocities / 6).tolist(), motors.currents.tolist()
         )
 
 

@@ -23,11 +23,7 @@ from jaxtyping import Float
 from smooth_operator.errors import require
 from smooth_operator.settings import check_range
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
-from smooth_operator_devices.hands.device import (
-    HandDevice,
-    Reading,
-    WrongAnswerError,
-)
+from smooth_operator_devices.hands.device import HandDevice, Reading, WrongAnswerError
 from smooth_operator_devices.hands.drivers.serial_line import SerialLine
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
@@ -138,7 +134,7 @@ class AbilityDevice(HandDevice):
         body = bytes([self._address, command])
         if values is not None:
             body += struct.pack("<6h", *np.clip(values, -32767, 32767).astype(int))
-        line = self._port_line()
+        line = self._opened(self._line)
         line.clear()
         line.send(framed(body + bytes([-sum(body) & 0xFF])))
         self._expected = True
@@ -147,7 +143,7 @@ class AbilityDevice(HandDevice):
         """The next valid answer of the hand."""
         deadline, frame, wrong = time.perf_counter() + _TIMEOUT, bytearray(), ""
         while time.perf_counter() < deadline:
-            for byte in self._port_line().waiting():
+            for byte in self._opened(self._line).waiting():
                 if byte != _FRAME:
                     frame.append(byte)
                     continue
@@ -160,11 +156,6 @@ class AbilityDevice(HandDevice):
                     f"; received a frame of {len(body)} bytes, expected {_ANSWER} and checksum 0"
                 )
         raise WrongAnswerError(f"ability: no valid answer from the hand in {_TIMEOUT:g} s{wrong}")
-
-    def _port_line(self) -> SerialLine:
-        if self._line is None:
-            raise self._not_open()
-        return self._line
 
 
 def framed(body: bytes) -> bytes:

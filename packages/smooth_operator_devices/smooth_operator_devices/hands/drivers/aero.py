@@ -169,7 +169,7 @@ class AeroDevice(HandDevice):
                 self._asked(_ASK_POSITIONS, seconds=_PROBE)
                 self._asked(_ASK_POSITIONS)
             except WrongAnswerError:
-                self._port_line().send(b"\0")
+                self._opened(self._line).send(b"\0")
                 continue
             self._missed = 0
             return
@@ -177,16 +177,16 @@ class AeroDevice(HandDevice):
 
     def _send(self, operation: int, *words: int) -> None:
         rest = [0] * (MOTORS - len(words))
-        self._port_line().send(struct.pack("<2B7H", operation, 0, *words, *rest))
+        self._opened(self._line).send(struct.pack("<2B7H", operation, 0, *words, *rest))
 
     def _asked(self, operation: int, *words: int, seconds: float | None = None) -> np.ndarray:
         """The seven words of the answer to a question."""
-        self._heard(self._port_line().take())  # late, or text
+        self._heard(self._opened(self._line).take())  # late, or text
         self._send(operation, *words)
         seconds = _TIMEOUT if seconds is None else seconds
         deadline, got = time.perf_counter() + seconds, b""
         while time.perf_counter() < deadline:
-            got += self._port_line().waiting()
+            got += self._opened(self._line).waiting()
             begin = got.find(bytes([operation, 0]))  # text has no 0
             if 0 <= begin <= len(got) - _FRAME:
                 self._heard(got[:begin])
@@ -200,8 +200,3 @@ class AeroDevice(HandDevice):
         """Notice that the hand was switched on again; its limits are lost."""
         if self._limited and any(part in data for part in _POWER_ON):
             raise DeviceLostError("aero: the hand restarted")
-
-    def _port_line(self) -> SerialLine:
-        if self._line is None:
-            raise self._not_open()
-        return self._line

@@ -29,8 +29,7 @@ from smooth_operator_devices.hands.device import (
     Reading,
     WrongAnswerError,
 )
-from smooth_operator_devices.hands.drivers.can_bus import CanBus, can_port
-from smooth_operator_devices.hands.hardware_sink import HardwareSink
+from smooth_operator_devices.hands.drivers.can_bus import CanBus, CanSink
 
 MOTORS: Final = 16
 _ON, _OFF, _TORQUE, _PERIOD = 0x40, 0x41, 0x60, 0x81
@@ -94,21 +93,10 @@ ROS driver. Gains of V5: the maker's library, as ``allegro_hand_v5_plus_python``
 
 
 @dataclass(frozen=True)
-class AllegroSink(HardwareSink):
-    """Moves an Allegro Hand V4 or V5; see ``HardwareSink``.
-
-    Attributes:
-        port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-    """
+class AllegroSink(CanSink):
+    """Moves an Allegro Hand V4 or V5; see ``CanSink``."""
 
     driver: ClassVar[str] = "allegro"
-
-    port: str = "can0"
-
-    @property
-    def bus(self) -> str:
-        """The CAN channel, with its interface."""
-        return "can:" + ":".join(can_port(self.port))
 
     def device(self, actuators: ActuatorMap) -> AllegroDevice:
         """The hand, not yet open; see ``HardwareSink``."""
@@ -209,10 +197,9 @@ class AllegroDevice(HandDevice):
             control.end()
 
     def _running(self) -> _Control:
-        if self._control is None:
-            raise self._not_open()
-        self._control.raise_error()
-        return self._control
+        control = self._opened(self._control)
+        control.raise_error()
+        return control
 
 
 class _Control:

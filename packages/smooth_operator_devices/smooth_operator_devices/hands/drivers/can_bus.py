@@ -6,10 +6,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 from smooth_operator.errors import SinkError
 from smooth_operator_devices.hands.device import DeviceLostError
+from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 BITRATE: Final = 1_000_000
 DATA_BITRATE: Final = 5_000_000
@@ -21,6 +23,22 @@ def can_port(port: str) -> tuple[str, str]:
     """Interface and channel of a port of ``CanBus``."""
     interface, colon, channel = port.partition(":")
     return (interface, channel) if colon else (_INTERFACES.get(sys.platform, "socketcan"), port)
+
+
+@dataclass(frozen=True)
+class CanSink(HardwareSink):
+    """Base class of the sinks of hands on a CAN bus; see ``HardwareSink``.
+
+    Attributes:
+        port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
+    """
+
+    port: str = "can0"
+
+    @property
+    def bus(self) -> str:
+        """The CAN channel, with its interface."""
+        return "can:" + ":".join(can_port(self.port))
 
 
 class CanBus:

@@ -161,13 +161,12 @@ class Dex3Device(HandDevice):
 
         from smooth_operator_devices.hands.drivers.dex3_messages import HandCommand, MotorCommand
 
-        if self._publish is None:
-            raise self._not_open()
+        publish = self._opened(self._publish)
         words = tuple(float(value) for value in positions.astype(np.float32))
         self._sent.append(words)
         motors = [MotorCommand(k | _ON | more, q, 0.0, 0.0, kp, kd) for k, q in enumerate(words)]
         try:
-            self._publish(HandCommand(motors, [0] * 4))
+            publish(HandCommand(motors, [0] * 4))
         except DDSException as error:
             raise DeviceLostError(f"dex3: the network does not take a command ({error})") from error
 
@@ -189,10 +188,9 @@ class Dex3Device(HandDevice):
         """States that came; counts commands of other programs."""
         from smooth_operator_devices.hands.drivers.dex3_messages import HandState
 
-        if self._transport is None:
-            raise self._not_open()
+        transport = self._opened(self._transport)
         try:
-            messages = [message for _, message in self._transport.receive(seconds)]
+            messages = [message for _, message in transport.receive(seconds)]
         except SinkError as error:
             raise DeviceLostError(f"dex3: {error}") from error
         for message in messages:

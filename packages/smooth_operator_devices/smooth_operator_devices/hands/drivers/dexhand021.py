@@ -23,8 +23,7 @@ from jaxtyping import Float
 from smooth_operator.errors import require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.device import HandDevice, Reading, WrongAnswerError
-from smooth_operator_devices.hands.drivers.can_bus import CanBus, can_port
-from smooth_operator_devices.hands.hardware_sink import HardwareSink
+from smooth_operator_devices.hands.drivers.can_bus import CanBus, CanSink
 
 MOTORS: Final = 12
 BOARDS: Final = 6
@@ -50,21 +49,10 @@ _TIMEOUT: Final = 0.1
 
 
 @dataclass(frozen=True)
-class DexHand021Sink(HardwareSink):
-    """Moves a DexHand021; see ``HardwareSink``.
-
-    Attributes:
-        port: CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-    """
+class DexHand021Sink(CanSink):
+    """Moves a DexHand021; see ``CanSink``."""
 
     driver: ClassVar[str] = "dexhand021"
-
-    port: str = "can0"
-
-    @property
-    def bus(self) -> str:
-        """The CAN channel, with its interface."""
-        return "can:" + ":".join(can_port(self.port))
 
     def device(self, actuators: ActuatorMap) -> DexHand021Device:
         """The hand, not yet open; see ``HardwareSink``."""
@@ -170,11 +158,11 @@ class DexHand021Device(HandDevice):
             bus.close()
 
     def _send(self, kind: int, board: int, data: bytes) -> None:
-        self._open_bus().send(kind + self._first + board, data)
+        self._opened(self._bus).send(kind + self._first + board, data)
 
     def _collect(self, deadline: float) -> None:
         """Take frames of the hand until all boards have reported, or until a time."""
-        for identifier, data in self._open_bus().until(deadline):
+        for identifier, data in self._opened(self._bus).until(deadline):
             kind, board = identifier & 0xF80, (identifier & 0x7F) - self._first
             if not 0 <= board < BOARDS:
                 continue
@@ -184,8 +172,3 @@ class DexHand021Device(HandDevice):
                 self._frames[board] = data
                 if len(self._frames) == BOARDS:
                     return
-
-    def _open_bus(self) -> CanBus:
-        if self._bus is None:
-            raise self._not_open()
-        return self._bus

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from smooth_operator.errors import MissingExtraError, SinkError
-from smooth_operator_devices.hands.device import DeviceLostError, WrongAnswerError
+from smooth_operator.errors import SinkError, require
+from smooth_operator_devices.hands.device import WrongAnswerError
 from smooth_operator_devices.hands.drivers.servo_bank import TRIES, ServoBus, open_port
 
 OPERATING_MODE: Final = (11, 1)
@@ -62,13 +62,11 @@ class DynamixelBus(ServoBus):
 
     def __init__(self, port: str, baud: int, ids: Sequence[int], names: Sequence[str]) -> None:
         super().__init__(port, baud, ids, names)
-        try:
-            import dynamixel_sdk
-        except ImportError as error:
-            raise MissingExtraError("the driver dynamixel", "dynamixel") from error
+        require("the driver dynamixel", "dynamixel", "dynamixel_sdk")
+        import dynamixel_sdk
+
         self._sdk: Any = dynamixel_sdk
         self._packets = dynamixel_sdk.PacketHandler(2.0)
-        self._handler: Any = None
         self._fast: bool | None = None  # whether the servos know the fast instruction
         self._readers: dict[_Register, Any] = {}
 
@@ -78,12 +76,12 @@ class DynamixelBus(ServoBus):
         Raises:
             SinkError: the port can't be opened, or servos do not answer or have another table.
         """
-        self._handler = _port_handler(self._sdk, self.port, self.baud)
+        self._line = _port_handler(self._sdk, self.port, self.baud)
         self._find(MODELS, "an X series servo with a goal current: XL330, XC330, XM, XH, XD or XW")
 
     def close(self) -> None:
         """Give the port back; a second call does nothing."""
-        handler, self._handler = self._handler, None
+        handler, self._line = self._line, None
         self._readers.clear()
         self._fast = None
         if handler is not None:
@@ -138,10 +136,10 @@ class DynamixelBus(ServoBus):
                 reader.addParam(number)
             self._readers[register] = reader
         with self._lost():
-            self._handler.ser.reset_input_buffer()  # answers that came too late
+            self._line.ser.reset_input_buffer()  # answers that came too late
             if self._fast is None:
                 self._fast = reader.fastSyncRead() == self._sdk.COMM_SUCCESS
-                self._handler.ser.reset_input_buffer()
+                self._line.ser.reset_input_buffer()
             result = reader.fastSyncRead() if self._fast else reader.txRxPacket()
         self._check(result)
         blocks = [bytes(reader.data_dict[number]) for number in self.ids]
@@ -162,31 +160,19 @@ class DynamixelBus(ServoBus):
                     return int(model)
         return None
 
-    def _open(self) -> Any:
-        if self._handler is None:
-            raise DeviceLostError(f"{self.port} is not open")
-        return self._handler
-
     def _check(self, result: int) -> None:
         if result != self._sdk.COMM_SUCCESS:
             text = str(self._packets.getTxRxResult(result)).removeprefix("[TxRxResult] ")
             raise WrongAnswerError(f"{self.port}: {text}")
 
     @contextlib.contextmanager
-    def _lost(self) -> Any:
+    def _lost(self) -> Iterator[None]:
         try:
-            yield
-        except SinkError:
-            raise
-        except (IndexError, KeyError) as error:  # the SDK reads beyond the end of a short packet
-            raise WrongAnswerError(f"{self.port}: received a truncated answer") from error
-        except Exception as error:  # of pyserial or termios, in several classes
-            raise DeviceLostError(
-                f"{self.port} is gone ({error}); check cable and power"
-            ) from error
+            with super()._lost():
+                yield
         finally:
-            if self._handler is not None:
-                self._handler.is_using = False  # the SDK leaves it set when the port is gone
+            if self._line is not None:
+                self._line.is_using = False  # the SDK leaves it set when the port is gone
 
 
 def _port_handler(sdk: Any, port: str, baud: int) -> Any:

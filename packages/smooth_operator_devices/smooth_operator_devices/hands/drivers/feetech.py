@@ -66,11 +66,7 @@ class FeetechHand(ServoBank):
     driver, name = "feetech", "a hand of Feetech servos"
 
     def __init__(
-        self,
-        port: str,
-        actuators: ActuatorMap,
-        baud: int | None = None,
-        series: str | None = None,
+        self, port: str, actuators: ActuatorMap, baud: int | None = None, series: str | None = None
     ) -> None:
         super().__init__(actuators, math.nan, ("baud",))  # the scale is that of the series
         limits = np.nan_to_num(actuators.limits, nan=100.0)

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from smooth_operator.errors import SinkError
 from smooth_operator_devices.hands.actuator_map import UNITS
-from smooth_operator_devices.hands.device import DeviceLostError, WrongAnswerError
+from smooth_operator_devices.hands.device import WrongAnswerError
 from smooth_operator_devices.hands.drivers.servo_bank import TRIES, ServoBus, open_port
 
 _READ, _SYNC_READ, _SYNC_WRITE, _BROADCAST = 0x02, 0x82, 0x83, 0xFE
@@ -54,7 +54,6 @@ text states; 777 for the STS3215."""
 class FeetechBus(ServoBus):
     """The servos of one port; see ``ServoBus``."""
 
-    _line: Any = None
     _answer_s = 0.0
     series: Series
 
@@ -153,19 +152,3 @@ class FeetechBus(ServoBus):
                     found[packet[2]] = packet[4:-1]
                 data = data[start + (length if right else 1) :]
         return found
-
-    def _open(self) -> Any:
-        if self._line is None:
-            raise DeviceLostError(f"{self.port} is not open")
-        return self._line
-
-    @contextlib.contextmanager
-    def _lost(self) -> Iterator[None]:
-        try:
-            yield
-        except SinkError:
-            raise
-        except Exception as error:  # of pyserial or termios, in several classes
-            raise DeviceLostError(
-                f"{self.port} is gone ({error}); check cable and power"
-            ) from error

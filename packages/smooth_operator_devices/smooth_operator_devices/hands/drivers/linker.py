@@ -21,10 +21,9 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.device import HandDevice, Reading, Setting, WrongAnswerError
-from smooth_operator_devices.hands.drivers.can_bus import CanBus, can_port
+from smooth_operator_devices.hands.drivers.can_bus import CanBus, CanSink
 from smooth_operator_devices.hands.drivers.linker_models import MODELS, Frames
 from smooth_operator_devices.hands.drivers.linker_touch import FINGERS, TouchMatrices
-from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 _IDENTIFIERS: Final = {"right": 0x27, "left": 0x28}
 """Identifier of the frames by the hand's side, as the maker's code chooses it: its C++ header
@@ -38,18 +37,16 @@ _TIMEOUT: Final = 0.05
 
 
 @dataclass(frozen=True)
-class LinkerSink(HardwareSink):
-    """Moves a LinkerHand (O6, L6, L7, L10, L20, L21, L25, G20); see ``HardwareSink``.
+class LinkerSink(CanSink):
+    """Moves a LinkerHand (O6, L6, L7, L10, L20, L21, L25, G20); see ``CanSink``.
 
     Attributes:
-        port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
         model: model of the hand, which also chooses the table, unless one is named. By default that
             of the run's hand.
     """
 
     driver: ClassVar[str] = "linker"
 
-    port: str = "can0"
     model: (
         Literal["o6", "l6", "l7", "l10", "l20lite", "l20", "l21", "l25", "l25_16", "g20"] | None
     ) = None
@@ -61,11 +58,6 @@ class LinkerSink(HardwareSink):
     def _model_of(self, hand: str) -> str:
         name = hand.removeprefix("linker_")
         return self.model or (name if name in MODELS else "l20")
-
-    @property
-    def bus(self) -> str:
-        """The CAN channel, with its interface."""
-        return "can:" + ":".join(can_port(self.port))
 
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""
@@ -132,7 +124,7 @@ class LinkerDevice(HandDevice):
         Raises:
             WrongAnswerError: the hand reports none of them.
         """
-        bus = self._open_bus()
+        bus = self._opened(self._bus)
         self._collect(bus, time.perf_counter())  # echoes of what was set before
         for kind in self._settings:
             self._answers.pop(kind, None)
@@ -152,7 +144,7 @@ class LinkerDevice(HandDevice):
 
     def read(self) -> Reading:
         """Positions, and in turns temperatures, faults and currents; see ``HandDevice``."""
-        bus, model = self._open_bus(), self._model
+        bus, model = self._opened(self._bus), self._model
         self._collect(bus, time.perf_counter())  # answers to the last ``write``
         for kind in model.positions:
             if kind not in self._answers:
@@ -217,7 +209,7 @@ class LinkerDevice(HandDevice):
             self._limit()
             self._limited = True
         values = np.clip(np.rint(commands), 0, 255).astype(int).tolist()
-        self._collect(self._open_bus(), time.perf_counter())
+        self._collect(self._opened(self._bus), time.perf_counter())
         for kind, row in _filled(self._model.positions, values).items():
             self._answers.pop(kind, None)
             self._send(kind, row)
@@ -230,17 +222,12 @@ class LinkerDevice(HandDevice):
         if bus is not None:
             bus.close()
 
-    def _open_bus(self) -> CanBus:
-        if self._bus is None:
-            raise self._not_open()
-        return self._bus
-
     def _send(self, kind: int, values: list[int]) -> None:
         """Send a frame, not too soon after the last one, or the hand loses it."""
         wait = self._sent + self._gap - time.perf_counter()
         if wait > 0:
             time.sleep(wait)
-        self._open_bus().send(self._identifier, bytes([kind, *values]))
+        self._opened(self._bus).send(self._identifier, bytes([kind, *values]))
         self._sent = time.perf_counter()
 
 

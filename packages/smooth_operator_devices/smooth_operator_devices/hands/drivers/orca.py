@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.device import (
     DeviceLostError,
@@ -64,11 +64,7 @@ class OrcaDevice(HandDevice):
 
     def __init__(self, actuators: ActuatorMap, port: str, config: str, mock: bool) -> None:
         super().__init__(actuators)
-        try:
-            import orca_core
-        except ImportError as error:
-            raise MissingExtraError("the ORCA hand", "orca") from error
-        self._core: Any = orca_core
+        require("the ORCA hand", "orca", "orca_core")
         self._port = port
         self._check_settings(_SETTINGS)
         options = dict(actuators.settings)
@@ -88,8 +84,10 @@ class OrcaDevice(HandDevice):
             self._open()
 
     def _open(self) -> None:
+        import orca_core
+
         with self._bus("connecting"):
-            hand = self._core.load_hand(mock=self._mock, **self._options)
+            hand = orca_core.load_hand(mock=self._mock, **self._options)
         names = hand.config.joint_ids
         for name in self._table.names:
             if name not in names:
@@ -98,9 +96,7 @@ class OrcaDevice(HandDevice):
                     f"{', '.join(names)}"
                 )
         if self._port:
-            import dataclasses
-
-            hand.config = dataclasses.replace(hand.config, port=self._port)
+            hand.config = replace(hand.config, port=self._port)
         with self._bus("connecting"):
             connected, message = hand.connect(interactive=False)
         if not connected:
@@ -123,7 +119,7 @@ class OrcaDevice(HandDevice):
 
     def read(self) -> Reading:
         """Joint positions; currents and temperatures in turns."""
-        hand = self._connected()
+        hand = self._opened(self._hand)
         with self._bus("reading"):
             by_name = hand.get_joint_position().as_dict()
             fresh = hand.last_read_ok
@@ -145,7 +141,7 @@ class OrcaDevice(HandDevice):
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
         """Joint positions; the first ones switch the torque on."""
-        hand = self._connected()
+        hand = self._opened(self._hand)
         pose = dict(zip(self._table.names, commands.tolist(), strict=True))
         with self._bus("writing"):
             if not self._powered:  # a motor that has restarted has no limit
@@ -161,7 +157,7 @@ class OrcaDevice(HandDevice):
         """Switch the torque off."""
         if self._powered:
             with self._bus("relaxing"):
-                self._connected().disable_torque()
+                self._opened(self._hand).disable_torque()
         self._powered = False
 
     def close(self) -> None:
@@ -170,11 +166,6 @@ class OrcaDevice(HandDevice):
         if hand is not None:
             with contextlib.suppress(Exception):  # the port may be gone
                 hand.disconnect()
-
-    def _connected(self) -> Any:
-        if self._hand is None:
-            raise DeviceLostError("orca: it is not connected")
-        return self._hand
 
     @contextlib.contextmanager
     def _bus(self, doing: str) -> Iterator[None]:

@@ -170,16 +170,13 @@ class Revo2Device(HandDevice):
             loop.close()
 
     def _call(self, name: str, *values: Any) -> Any:
-        context = self._context
-        if context is None:
-            raise self._not_open()
+        context = self._opened(self._context)
         return self._run(lambda: getattr(context, name)(self._number, *values), _TIMEOUT, name)
 
     def _run(self, call: Callable[[], Awaitable[_T]], seconds: float, what: str) -> _T:
-        if self._loop is None:
-            raise self._not_open()
+        loop = self._opened(self._loop)
         try:
-            return self._loop.run_until_complete(asyncio.wait_for(_awaited(call), seconds))
+            return loop.run_until_complete(asyncio.wait_for(_awaited(call), seconds))
         except TimeoutError as error:
             raise WrongAnswerError(f"revo2: no answer to {what} in {seconds:g} s") from error
         except (RuntimeError, ValueError) as error:  # the package's errors of the line

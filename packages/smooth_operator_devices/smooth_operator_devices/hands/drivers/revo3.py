@@ -114,7 +114,7 @@ class Revo3Device(HandDevice):
     def read(self) -> Reading:
         """Positions, speeds and currents; faults and temperatures now and then. See
         ``HandDevice``."""
-        hand = self._open_hand()
+        hand = self._opened(self._hand)
         state = self._run(hand.state.snapshot, "state")
         rows = [state.positions_deg, state.velocities_rpm, state.currents_ma]
         if any(len(row) != MOTORS for row in rows) or not np.isfinite(rows[0]).all():
@@ -140,7 +140,7 @@ class Revo3Device(HandDevice):
     def write(self, commands: Float[np.ndarray, " 21"]) -> None:
         """Send the positions [deg]; the first call clears faults and ends zero force. A session
         that has expired is opened again. See ``HandDevice``."""
-        hand, states = self._open_hand(), self._sdk.ServoSessionState
+        hand, states = self._opened(self._hand), self._sdk.ServoSessionState
         if not self._limited:
             self._end_session()
             self._run(hand.health.clear_motor_faults, "clearing faults")
@@ -155,7 +155,7 @@ class Revo3Device(HandDevice):
     def relax(self) -> None:
         """End the session and switch to zero force; see ``HandDevice``."""
         super().relax()
-        hand = self._open_hand()
+        hand = self._opened(self._hand)
         self._end_session()
         self._run(lambda: hand.motion.set_zero_force_enabled(True), "zero force")
 
@@ -179,15 +179,8 @@ class Revo3Device(HandDevice):
             with contextlib.suppress(Exception):
                 session.close()
 
-    def _open_hand(self) -> Any:
-        if self._hand is None:
-            raise self._not_open()
-        return self._hand
-
     def _run(self, call: Callable[[], Awaitable[_T]], what: str, seconds: float = _TIMEOUT) -> _T:
-        loop = self._loop
-        if loop is None:
-            raise self._not_open()
+        loop = self._opened(self._loop)
         return self._checked(
             lambda: loop.run_until_complete(asyncio.wait_for(_awaited(call), seconds)), what
         )

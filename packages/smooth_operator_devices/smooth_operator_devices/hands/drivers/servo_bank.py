@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator_devices.hands.actuator_map import UNITS, ActuatorMap
 from smooth_operator_devices.hands.bus_lock import only_port
-from smooth_operator_devices.hands.device import HandDevice
+from smooth_operator_devices.hands.device import DeviceLostError, HandDevice, WrongAnswerError
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 TRIES: Final = 4
@@ -70,7 +71,7 @@ class ServoBus(ABC):
     """The servos of one port.
 
     Args:
-        port: the serial port.
+        port: the serial port; it is open while a subclass has it as ``_line``.
         baud: bits per second.
         ids: ids of the servos, in the order in which values are given and come back.
         names: names of the servos, for messages.
@@ -78,6 +79,7 @@ class ServoBus(ABC):
 
     def __init__(self, port: str, baud: int, ids: Sequence[int], names: Sequence[str]) -> None:
         self.port, self.baud, self.ids, self.names = port, baud, tuple(ids), tuple(names)
+        self._line: Any = None
 
     @abstractmethod
     def close(self) -> None:
@@ -86,6 +88,26 @@ class ServoBus(ABC):
     @abstractmethod
     def _model(self, number: int) -> int | None:
         """Model number of a servo; None if it does not answer."""
+
+    def _open(self) -> Any:
+        """The open port."""
+        if self._line is None:
+            raise DeviceLostError(f"{self.port} is not open")
+        return self._line
+
+    @contextlib.contextmanager
+    def _lost(self) -> Iterator[None]:
+        """Turns errors of the port into those of a driver."""
+        try:
+            yield
+        except SinkError:
+            raise
+        except (IndexError, KeyError) as error:  # a maker's library reads beyond a short packet
+            raise WrongAnswerError(f"{self.port}: received a truncated answer") from error
+        except Exception as error:  # of pyserial or termios, in several classes
+            raise DeviceLostError(
+                f"{self.port} is gone ({error}); check cable and power"
+            ) from error
 
     def _find(self, models: Container[int], expected: str) -> list[int]:
         """Check that every servo answers, and is of one of these models.

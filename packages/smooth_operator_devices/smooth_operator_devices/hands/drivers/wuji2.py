@@ -113,7 +113,7 @@ class Wuji2Device(HandDevice):
     def read(self) -> Reading:
         """The next state; heat and faults as they come. See ``HandDevice``."""
         with _speaking():
-            self._open_hand()
+            self._opened(self._hand)
             states, diagnostics = self._streams
             states.recv()  # one from before
             frame = self._newest(states)
@@ -142,7 +142,7 @@ class Wuji2Device(HandDevice):
         """Limits of the efforts [A]; see ``HandDevice``."""
         with _speaking():
             found = np.array(
-                self._open_hand().effort_limit().get(), float
+                self._opened(self._hand).effort_limit().get(), float
             )  # NaN of a joint offline
         known = np.isfinite(found)
         if not known.all():
@@ -153,7 +153,7 @@ class Wuji2Device(HandDevice):
         """Send the positions [rad]; the first call sets limits, clears faults and switches the
         motors on. See ``HandDevice``."""
         with _speaking():
-            hand = self._open_hand()
+            hand = self._opened(self._hand)
             if self._limited:
                 self._send(commands)
                 return
@@ -168,7 +168,7 @@ class Wuji2Device(HandDevice):
         """Switch the motors off; see ``HandDevice``."""
         super().relax()
         with _speaking():
-            self._open_hand().disable()
+            self._opened(self._hand).disable()
 
     def close(self) -> None:
         """Switch the motors off and let the hand go; see ``HandDevice``."""
@@ -203,11 +203,6 @@ class Wuji2Device(HandDevice):
     def _fault(self, code: int) -> str:
         known = self._sdk.WujiHand2.describe_error(code)
         return f"fault 0x{code:04X}" if known is None else f"{known['name']} (0x{code:04X})"
-
-    def _open_hand(self) -> Any:
-        if self._hand is None:
-            raise self._not_open()
-        return self._hand
 
 
 @contextlib.contextmanager

@@ -144,15 +144,14 @@ class XHandDevice(HandDevice):
 
     def write(self, commands: Float[np.ndarray, " 12"]) -> None:
         """Send the positions [rad] with gains and limits; see ``HandDevice``."""
-        if self._device is None:
-            raise self._not_open()
+        device = self._opened(self._device)
         command = self._control.HandCommand_t()
         for k, (finger, limit) in enumerate(zip(command.finger_command, self._limits, strict=True)):
             finger.id, finger.mode, finger.tor_max = k, _POSITION_MODE, limit
             finger.position = float(commands[k])
             for gain, value in self._gains.items():
                 setattr(finger, gain, value)
-        self._checked(self._device.send_command(self._number, command))
+        self._checked(device.send_command(self._number, command))
 
     def close(self) -> None:
         """Give the port back; the hand keeps its last target. See ``HandDevice``."""
@@ -162,9 +161,7 @@ class XHandDevice(HandDevice):
                 device.close_device()
 
     def _asked(self, call: str, *values: Any) -> Any:
-        if self._device is None:
-            raise self._not_open()
-        error, value = getattr(self._device, call)(self._number, *values)
+        error, value = getattr(self._opened(self._device), call)(self._number, *values)
         self._checked(error)
         return value
 
