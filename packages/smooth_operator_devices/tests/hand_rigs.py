@@ -34,7 +34,7 @@ from smooth_operator import load_hand
 from smooth_operator.errors import SinkError
 from smooth_operator.teleop.components import build_sink
 from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table, write_table
-from smooth_operator_devices.hands.device import HandDevice, Reading, WrongAnswerError
+from smooth_operator_devices.hands.device import HandDevice
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 _channels = itertools.count()
@@ -186,9 +186,10 @@ class Rig:
 
     def slow(self) -> None:
         """Make the motors so slow that even a stalled machine can stop them on their way."""
-        looks, motors = itertools.count(1), self.hand.motors
+        looks, motors, begin = itertools.count(1), self.hand.motors, time.monotonic()
         seconds = 0.4 * self.unit / motors.speed.max()  # less than half a unit from look to look
-        motors._clock, motors._time = lambda: seconds * next(looks), 0.0
+        motors._clock = lambda: min(seconds * next(looks), 0.02 * (time.monotonic() - begin))
+        motors._time = 0.0
 
     def limits(self) -> list[float]:
         """Settings of the driver that a restart deletes; empty if it sets nothing."""
@@ -698,20 +699,6 @@ def missing(name: str) -> str:
         return f"needs {kind.library}"
     on_a_pty = issubclass(kind, OnALine | Leap)
     return "needs a pty" if on_a_pty and sys.platform == "win32" else ""
-
-
-def quiet(device: HandDevice) -> Reading | None:
-    """A reading; None for a wrong answer."""
-    with contextlib.suppress(WrongAnswerError):
-        return device.read()
-    return None
-
-
-def read(device: HandDevice, times: int) -> Reading:
-    """The last of some readings; a driver reads slow values in turns."""
-    for _ in range(times):
-        reading = device.read()
-    return reading
 
 
 @contextlib.contextmanager

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_rigs import DRIVERS, Rig, quiet
+from driven_hands import quiet
+from hand_rigs import DRIVERS, Rig
 from live_time import PATIENCE_S, until
 
 from smooth_operator_devices.hands.device import Reading, WrongAnswerError

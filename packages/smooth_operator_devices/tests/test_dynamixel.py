@@ -1,28 +1,21 @@
 """The Dynamixel driver against servos on a serial line that speak protocol 2.0."""
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from driven_hands import Driven
 from dynamixel_bank import ServoBank, crc16, packet
+from hand_rigs import Rig
 from live_time import until
-from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.sinks.tick import Tick
-from smooth_operator.types import JointCommand
 from smooth_operator_devices.hands.device import WrongAnswerError
 from smooth_operator_devices.hands.drivers.dynamixel import LeapSink
-from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 pytest_plugins = ["hand_rig_fixtures"]
-
-IDS = list(range(16))
 
 
 @pytest.fixture(scope="module")
@@ -31,47 +24,19 @@ def hand() -> Hand:
 
 
 @pytest.fixture
-def bank(rigs) -> ServoBank:
-    return rigs("leap", patience=0.036).hand  # as it is without a test
+def rig(rigs) -> Rig:
+    return rigs("leap", patience=0.036)  # as it is without a test
 
 
-def calm(sink: HardwareSink) -> bool:
+@pytest.fixture
+def bank(rig) -> ServoBank:
+    return rig.hand
+
+
+def calm(driven: Driven) -> bool:
     """True if the hand follows; its note may still count earlier faults."""
-    return not any(word in sink.note for word in ("approaches", "waiting", "retrying", "no answer"))
-
-
-def tick_at(hand: Hand, share: float) -> Tick:
-    """A command at a share of every joint's range."""
-    low, high = hand.limits.T
-    q = hand.full_configuration(low + share * (high - low))
-    return replace(make_tick(hand), command=JointCommand(q, hand.joint_names))
-
-
-class Run:
-    """A LEAP hand's sink on a bank, to which the same command goes until another one comes."""
-
-    def __init__(self, bank: ServoBank, hand: Hand, **settings: object) -> None:
-        settings = {"approach": 10.0, "speed": 20.0, "baud": 57600, **settings}
-        self.sink = LeapSink(port=bank.path, **settings)
-        self.hand, self.bank = hand, bank
-        self.tick: Tick | None = None
-
-    def __enter__(self) -> "Run":
-        self.sink.open({"right": self.hand}, {})
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.sink.close()
-
-    def until(self, done: Callable[[], object]) -> None:
-        until(lambda: (self.tick is not None and self.sink.send(self.tick)) or done())
-
-    def at(self, share: float) -> bool:
-        """True if all servos are at a share of the joints' range."""
-        low, high = self.hand.limits.T
-        wanted = dict(zip(self.hand.actuated_names, low + share * (high - low), strict=True))
-        steps = {i: 2048 + wanted[str(i)] * 4096 / (2 * np.pi) for i in IDS}
-        return all(abs(self.bank.servos[i].position - steps[i]) < 12 for i in IDS)
+    words = ("approaches", "waiting", "retrying", "no answer")
+    return not any(word in driven.sink.note for word in words)
 
 
 def test_checksum_and_packets_are_those_of_the_published_protocol():
@@ -82,41 +47,39 @@ def test_checksum_and_packets_are_those_of_the_published_protocol():
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_a_leap_hand_boots_approaches_and_is_read_back(bank, hand, fast):
+def test_a_leap_hand_boots_approaches_and_is_read_back(rig, bank, fast):
     bank.fast = fast
-    with Run(bank, hand) as run:
-        state = run.sink.state("right")
+    with Driven(rig, approach=10.0, speed=20.0) as driven:
+        state = driven.sink.state("right")
         assert state.positions == pytest.approx(0.0, abs=0.001)  # pi is open
-        assert not any(servo.torque for servo in bank.servos.values())  # nothing moves yet
+        assert not rig.powered()  # nothing moves yet
         servo = bank.servos[0]
         assert servo.get(11, 1) == 5
         assert [servo.get(102, 2), servo.get(84, 2), servo.get(80, 2)] == [350, 450, 150]
         assert bank.servos[1].get(84, 2) == 600
-        run.tick = tick_at(hand, 0.5)
-        run.until(lambda: calm(run.sink) and run.at(0.5))
-        first = bank.goals[0]
-        assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in first.values())
-        wanted = run.tick.command.joint_positions
-        until(lambda: np.abs(run.sink.state("right").positions - wanted).max() < 0.02)
+        wanted = driven.ask(0.5)
+        until(lambda: calm(driven) and rig.near(wanted))
+        assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in bank.goals[0].values())
+        joints = driven.tick.command.joint_positions
+        until(lambda: np.abs(driven.sink.state("right").positions - joints).max() < 0.02)
         assert servo.get(98, 1) == 25  # the servos' own watchdog: half a second
-        state = run.sink.state("right")
-        assert set(state.temperatures.tolist()) == {33.0}
-    until(lambda: not any(servo.torque for servo in bank.servos.values()))
-    until(lambda: bank.servos[0].get(98, 1) == 0)
+        assert set(driven.sink.state("right").temperatures.tolist()) == {33.0}
+    until(lambda: not rig.powered())
+    until(lambda: servo.get(98, 1) == 0)
     assert bank.bad == 0
 
 
-def test_servos_that_stopped_themselves_follow_again(bank, hand):
+def test_servos_that_stopped_themselves_follow_again(rig, bank):
     """A machine stood still longer than the servos' watchdog allows: they refuse goals then."""
-    with Run(bank, hand) as run:
-        run.tick = tick_at(hand, 0.4)
-        run.until(lambda: calm(run.sink) and run.at(0.4))
+    with Driven(rig) as driven:
+        wanted = driven.ask(0.4)
+        until(lambda: calm(driven) and rig.near(wanted))
         for servo in bank.servos.values():
             servo.table[98] = 255
-        run.tick = tick_at(hand, 0.6)
-        run.until(lambda: run.sink.figures["device_lost"])
-        assert "stopped themselves" in run.sink.note
-        run.until(lambda: calm(run.sink) and run.at(0.6))
+        wanted = driven.ask(0.6)
+        until(lambda: driven.sink.figures["device_lost"])
+        assert "stopped themselves" in driven.sink.note
+        until(lambda: calm(driven) and rig.near(wanted))
 
 
 def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(rigs):
@@ -131,28 +94,28 @@ def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(rigs):
     until(lambda: servo.torque)
 
 
-def test_servos_with_another_control_table_are_refused(bank, hand):
+def test_servos_with_another_control_table_are_refused(rig, bank, hand):
     bank.servos[7].put(0, 2, 350)  # XL-320
     written = bytes(bank.servos[7].table[:126])  # what follows is measured
     with pytest.raises(SinkError, match=r"servo 7 \(middle_dip\) is of model number 350.* XL330"):
-        Run(bank, hand).__enter__()
+        rig.build().open({"right": hand}, {})
     assert bytes(bank.servos[7].table[:126]) == written
 
 
-def test_the_current_limit_is_the_lowest_of_table_run_and_servo(bank, hand):
+def test_the_current_limit_is_the_lowest_of_table_run_and_servo(rig, bank):
     bank.servos[5].put(38, 2, 120)
-    with Run(bank, hand, limit=200.0):
+    with Driven(rig, limit=200.0):
         assert bank.servos[4].get(102, 2) == 200
         assert bank.servos[5].get(102, 2) == 120
 
 
-def test_a_servo_with_an_error_is_shown(bank, hand):
-    with Run(bank, hand) as run:
-        run.tick = tick_at(hand, 0.4)
+def test_a_servo_with_an_error_is_shown(rig, bank):
+    with Driven(rig) as driven:
+        driven.ask(0.4)
         bank.servos[3].error = 0x20
         bank.servos[9].put(146, 1, 72)
-        run.until(lambda: "index_dip: overload; switch its power off and on" in run.sink.note)
-        run.until(lambda: "hot: ring_forward 72 °C" in run.sink.note)
+        until(lambda: "index_dip: overload; switch its power off and on" in driven.sink.note)
+        until(lambda: "hot: ring_forward 72 °C" in driven.sink.note)
 
 
 def test_a_whole_run_has_measured_joints_in_its_log(bank, hand, tmp_path):
@@ -172,20 +135,19 @@ def test_a_whole_run_has_measured_joints_in_its_log(bank, hand, tmp_path):
     assert "right" in summary["motion_delay_ms"]
 
 
-def test_what_can_not_be_opened(bank, hand, tmp_path):
+def test_what_can_not_be_opened(rig, bank, hand, tmp_path):
     with pytest.raises(SinkError, match="there is no serial port"):
         LeapSink(port="/dev/ttyNONE").open({"right": hand}, {})
+    sink = rig.build()
     bank.silent.add(7)
     with pytest.raises(SinkError, match=r"no answer from the servos 7 \(middle_dip\)"):
-        Run(bank, hand).__enter__()
-    bank.silent.update(IDS)
+        sink.open({"right": hand}, {})
+    bank.silent.update(bank.servos)
     with pytest.raises(SinkError, match="no servo answers at 57600 baud"):
-        Run(bank, hand).__enter__()
+        sink.open({"right": hand}, {})
     bank.silent.clear()
-    with Run(bank, hand):
-        second = Run(bank, hand)
-        with pytest.raises(SinkError, match="in use by another run"):
-            second.__enter__()
+    with Driven(rig), pytest.raises(SinkError, match="in use by another run"):
+        sink.open({"right": hand}, {})
     text = 'format=1\ndriver="dynamixel"\nhand="leap_hand"\nside="right"\nunit="{}"\n{}\n'
     row = '[[actuators]]\nname="a"\n{}joint="0"\npoints=[[0,0],[1,1]]\n'
     for unit, head, each, said in (

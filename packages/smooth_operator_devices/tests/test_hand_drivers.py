@@ -1,23 +1,21 @@
 """All drivers of real hands on simulators of their wire protocols: one set of tests for each."""
 
 import struct
-import threading
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_rigs import RIGS, Rig, quiet
+from driven_hands import Driven, quiet, within
+from hand_rigs import RIGS, Rig
 from live_time import until
-from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.registry import hand_names
 from smooth_operator.hands.wrist_joints import with_wrist_joints
-from smooth_operator.teleop.sinks.tick import Mode, Tick
-from smooth_operator.types import JointCommand
+from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator_devices.hands.actuator_map import (
     ActuatorMap,
     BoundMap,
@@ -26,7 +24,6 @@ from smooth_operator_devices.hands.actuator_map import (
 )
 from smooth_operator_devices.hands.device import HandDevice, SettingsWatch, WrongAnswerError
 from smooth_operator_devices.hands.drivers.linker import LinkerSink
-from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 pytest_plugins = ["hand_rig_fixtures"]
 
@@ -37,93 +34,6 @@ BUSES = [
 ON_EACH_BUS = pytest.mark.parametrize("rig", BUSES, indirect=True)
 WITH_EACH = pytest.mark.parametrize("rig", list(RIGS), indirect=True)
 TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
-
-
-_hands: dict[str, Hand] = {}
-
-
-def hand_of(table: ActuatorMap) -> Hand:
-    if table.hand not in _hands:
-        _hands[table.hand] = load_hand(table.hand, side=table.side)
-    return _hands[table.hand]
-
-
-def within(table: ActuatorMap, share: float) -> np.ndarray:
-    """Commands at a share of the way between the ends, for each actuator."""
-    low, high = np.array([actuator.ends for actuator in table.actuators]).T
-    return low + share * (high - low)
-
-
-class Opened:
-    """A device of a rig, open; and its table, bound to the model of the hand."""
-
-    def __init__(self, rig: Rig, patient: bool = True, **settings: object) -> None:
-        sink = rig.build(**settings)
-        self.table = sink.actuators("right")
-        self.bound = BoundMap(self.table, hand_of(self.table))
-        self.device: HandDevice = sink.device(self.table)
-        tries = 5 if patient else 1  # as a sink does: a busy machine answers late
-        while True:
-            try:
-                self.device.open()
-                return
-            except WrongAnswerError:
-                self.device.close()
-                tries -= 1
-                if not tries:
-                    raise
-
-    def __enter__(self) -> "Opened":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.device.close()
-        self.device.close()  # a second call does nothing
-
-
-class Driven:
-    """A sink that gets a command every few milliseconds, as from a loop."""
-
-    def __init__(self, rig: Rig, **settings: object) -> None:
-        self.sink: HardwareSink = rig.build(**settings)
-        self.table = self.sink.actuators("right")
-        self.hand = hand_of(self.table)
-        self.bound = BoundMap(self.table, self.hand)
-        self.tick: Tick | None = None
-        self.longest = 0.0
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> "Driven":
-        self.sink.open({"right": self.hand}, {})
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._done.set()
-        self._thread.join()
-        self.sink.close()
-
-    def _run(self) -> None:
-        while not self._done.wait(0.005):
-            if self.tick is not None:
-                begin = time.thread_time()
-                self.sink.send(self.tick)
-                self.longest = max(self.longest, time.thread_time() - begin)
-
-    def ask(self, share: float) -> np.ndarray:
-        """Ask for the joints at a share of each actuator's way; returns the commands."""
-        commands = within(self.table, share)
-        self.ask_joints(self.bound.joints(commands))
-        return commands
-
-    def ask_joints(self, joints: np.ndarray) -> None:
-        joints = np.where(np.isfinite(joints), joints, 0.0)
-        tick = make_tick(self.hand)
-        self.tick = replace(tick, command=JointCommand(joints, self.hand.joint_names, 0.0))
-
-    def statistics(self) -> dict[str, float]:
-        return self.sink.figures
 
 
 @pytest.mark.parametrize("hand", ["linker_l10", "linker_l20"])
@@ -181,12 +91,13 @@ def fits(table: ActuatorMap, hand: Hand) -> None:
 @WITH_EACH
 def test_opening_moves_nothing_and_reads_where_the_hand_is(rig):
     before = rig.positions()
-    with Opened(rig) as opened:
-        reading = opened.device.read()
-        assert reading.positions == pytest.approx(before, abs=rig.unit)
-        assert reading.errors == ()
-        assert not rig.sent
-        assert opened.device.read().positions.shape == (len(opened.table.actuators),)
+    device = rig.open()
+    reading = device.read()
+    assert reading.positions == pytest.approx(before, abs=rig.unit)
+    assert reading.errors == ()
+    assert not rig.sent
+    device.close()
+    device.close()  # a second call does nothing
     assert rig.positions() == pytest.approx(before, abs=rig.unit)
 
 
@@ -242,18 +153,18 @@ def test_a_stop_holds_the_hand_on_its_way(rig):
 
 @WITH_EACH
 def test_relaxing_is_taken_by_every_hand(rig):
-    with Opened(rig) as opened:
-        opened.device.write(opened.device.read().positions)
-        if rig.powered() is None:  # it can't: then nothing is sent
-            opened.device.read()  # the hand answers when it has its command
-            sent = len(rig.sent)
-            opened.device.relax()
-            opened.device.read()
-            assert len(rig.sent) == sent
-        else:
-            until(rig.powered)
-            opened.device.relax()
-            until(lambda: not rig.powered())
+    device = rig.open()
+    device.write(device.read().positions)
+    if rig.powered() is None:  # it can't: then nothing is sent
+        device.read()  # the hand answers when it has its command
+        sent = len(rig.sent)
+        device.relax()
+        device.read()
+        assert len(rig.sent) == sent
+    else:
+        until(rig.powered)
+        device.relax()
+        until(lambda: not rig.powered())
 
 
 @ON_EACH_BUS
@@ -379,27 +290,26 @@ LIMITED: dict[str, dict[str, object]] = {
 def test_limits_are_back_before_a_hand_moves_again(rig):
     at_targets: list[list[float]] = []
     rig.watch_targets(lambda target, at: at_targets.append(rig.limits()))
-    with Opened(rig, **LIMITED.get(rig.driver, {})) as opened:
-        start = opened.device.read().positions
-        opened.device.write(start)
-        opened.device.read()
-        limits = at_targets[-1]
-        opened.device.relax()
-        opened.device.read()  # it has received that, too
-        rig.restart()
-        assert rig.limits() != limits
-        count = len(at_targets)
-        opened.device.write(start)
-        opened.device.read()
-        assert len(at_targets) > count
-        assert all(there == limits for there in at_targets[count:])
+    device = rig.open(**LIMITED.get(rig.driver, {}))
+    start = device.read().positions
+    device.write(start)
+    device.read()
+    limits = at_targets[-1]
+    device.relax()
+    device.read()  # it has received that, too
+    rig.restart()
+    assert rig.limits() != limits
+    count = len(at_targets)
+    device.write(start)
+    device.read()
+    assert len(at_targets) > count
+    assert all(there == limits for there in at_targets[count:])
 
 
 @WITH_EACH
 def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig):
-    with Opened(rig) as opened:
-        names = [setting.name for setting in opened.device.settings()]
-    assert bool(names) == bool(rig.limits())
+    device = rig.open()
+    assert bool(device.settings()) == bool(rig.limits())
 
 
 def right(rig: Rig, device: HandDevice) -> bool:
@@ -414,24 +324,24 @@ def right(rig: Rig, device: HandDevice) -> bool:
 )
 def test_wrong_answers_move_nothing_and_pass(rig, kind):
     rig.patience(0.2)
-    with Opened(rig) as opened:
-        rig.faults.garbled = kind
-        if rig.reports:  # what it reports by itself is dropped where it is damaged
-            opened.device.read()
-        else:
-            with pytest.raises(WrongAnswerError, match=f"^{rig.driver}" if rig.prefix else None):
-                opened.device.read()
-        rig.faults.garbled = ""
-        until(lambda: right(rig, opened.device))
+    device = rig.open()
+    rig.faults.garbled = kind
+    if rig.reports:  # what it reports by itself is dropped where it is damaged
+        device.read()
+    else:
+        with pytest.raises(WrongAnswerError, match=f"^{rig.driver}" if rig.prefix else None):
+            device.read()
+    rig.faults.garbled = ""
+    until(lambda: right(rig, device))
     assert not rig.sent
 
 
 @pytest.mark.parametrize("rig", ["rohand", "aero", "feetech-scs", "feetech-sts"], indirect=True)
 def test_another_program_on_the_line_changes_no_position(rig):
-    with Opened(rig) as opened:
-        for _ in range(5):
-            rig.line.second_program(rig.question)
-            until(lambda: right(rig, opened.device))
+    device = rig.open()
+    for _ in range(5):
+        rig.line.second_program(rig.question)
+        until(lambda: right(rig, device))
 
 
 @ON_EACH_BUS
@@ -469,8 +379,8 @@ def test_a_slow_bus_costs_the_loop_nothing(rig):
 def test_nothing_on_the_wire_is_one_sentence(rig):
     rig.patience(0.1)
     rig.lose()
-    with pytest.raises(SinkError) as caught, Opened(rig, patient=False):
-        pass
+    with pytest.raises(SinkError) as caught:
+        rig.open()
     text = str(caught.value)
     assert text.startswith(rig.driver) or not rig.prefix
     assert "check" in text

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from driven_hands import read
 from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand
-from hand_rigs import read
 from live_time import until
 from simulators import revo3_sdk, wuji_sdk, xhand_sdk
 from simulators.sdk import installed

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from hand_rigs import quiet, read
+from driven_hands import quiet, read
 from live_time import until
 from simulators.rohand_modbus import STUCK
 

@@ -22,7 +22,7 @@ whose answers carry another number: `transaction_shift`.
 
 Not found: which half of a register is the first of two bytes (faults, status and temperature at
 1606 to 1623). The manual's words are low byte first, and a 1 written to 1004 clears faults, so the
-first byte is the low half here; Unitree's SDK takes the high half: `first_byte="high"`. Neither
+first byte is the low half here; Unitree's SDK takes the high half. Neither
 found: defaults of speed and force at power on (here 1000), largest value of a cell (here 4095),
 what an address outside the table brings (here error 2), the number of clients (here any), and what
 happens to a client that never reads its answers.
@@ -70,8 +70,7 @@ class InspireTouchHand:
         hand.motors.positions, hand.word(1498)         # state: angles 0 to 1000
     """
 
-    def __init__(self, *, first_byte: str = "low", clock: Clock = time.monotonic) -> None:
-        self.first_byte = first_byte
+    def __init__(self, *, clock: Clock = time.monotonic) -> None:
         self.transaction_shift = 0
         self.faults = Faults("unit", "short", "protocol")
         self.motors = Motors(np.full(6, 1000.0), 1000 / 0.6, clock=clock)
@@ -216,8 +215,6 @@ class InspireTouchHand:
         finger = (address - 1486) // 2
         if 1486 <= address < 1498 and 0 <= signed <= 1000:
             self.motors.move([signed], [finger])
-        if 1474 <= address < 1486 and 0 <= signed <= 2000:
-            self.motors.move([1000 - signed / 2], [(address - 1474) // 2])
         if 1522 <= address < 1534:
             self.motors.set_speed((address - 1522) // 2, signed / 0.6)
 
@@ -250,8 +247,6 @@ class InspireTouchHand:
             self._put(1594 + 2 * i, round(currents[i]))
         for start, values in ((1606, self.errors), (1612, status), (1618, motors.temperatures)):
             data = bytes(int(value) for value in values)
-            if self.first_byte == "high":
-                data = b"".join(data[i : i + 2][::-1] for i in range(0, 6, 2))
             self._memory[start : start + 6] = data
         for name, (address, _) in TOUCH.items():
             cells = self.touch[name]

@@ -57,16 +57,16 @@ class RoHand(RtuDevice):
     hand.motors.positions, hand.read(1095, 6)     # state, in the device's 0 to 65535
     """
 
+    node = 2
+
     def __init__(
         self,
         generation: int = 2,
-        node: int = 2,
         *,
         init_time: float = 0.0,
         clock: Clock = time.monotonic,
     ) -> None:
         self.generation = generation
-        self.node = node
         self.init_time = init_time
         self.faults = Faults(*self.WRONG)
         self.motors = Motors(np.zeros(6), 65535.0, clock=clock)
@@ -78,14 +78,7 @@ class RoHand(RtuDevice):
     def _start(self) -> None:
         self._registers = {
             1000: self.generation << 8,
-            1001: 0x0101,
-            1002: 1,
-            1003: 0x2001,
-            1004: 0x0100,
             1006: 0,
-            1007: 24000,
-            1008: 1,
-            1009: 1,
             **{1095 + k: 1178 for k in range(6)},
             **{1115 + k: 15000 if self.generation == 1 else 0 for k in range(5)},
             **{1125 + k: 65535 for k in range(6)},
@@ -138,14 +131,6 @@ class RoHand(RtuDevice):
 
     def _write(self, address: int, value: int) -> None:
         finger = address % 10 - 5 if address % 10 >= 5 else address % 10 + 5
-        if address == 1014:
-            if value == 0:
-                self.reboot()
-            return
-        if address == 1005:
-            self.node = value & 0xFF
-            self.reboot()
-            return
         self._registers[address] = value
         if finger >= 6:
             return
@@ -153,10 +138,6 @@ class RoHand(RtuDevice):
             self.motors.set_speed(finger, float(value))
         if 1135 <= address < 1145:
             self._go(finger, value)
-        if 1155 <= address < 1165:
-            signed = value - 0x10000 if value & 0x8000 else value
-            opened, closed = ANGLES[self.generation][finger]
-            self._go(finger, round(np.clip((signed - opened) / (closed - opened), 0, 1) * 65535))
 
     def _go(self, finger: int, target: int) -> None:
         self._stopped[finger] = False
@@ -171,7 +152,7 @@ class RoHand(RtuDevice):
             blocks = range(1000, 1284) if self.generation == 2 else range(1000, 1175)
             if one not in blocks and not (2000 <= one < 3000):
                 return None
-            values.append(self.node if one == 1005 else self._registers.get(one, 0) & 0xFFFF)
+            values.append(self._registers.get(one, 0) & 0xFFFF)
         return values
 
     def _refresh(self) -> None:
