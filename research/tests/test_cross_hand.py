@@ -7,10 +7,11 @@ from smooth_operator import Retargeter, poses
 from smooth_operator.errors import UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
-from smooth_operator.simulation.scenes import scene_for
+from smooth_operator.simulation.scenes.table_scene import TOP
 from smooth_operator_research.cross_hand.human import HAND_LENGTH, grip, record
 from smooth_operator_research.cross_hand.plans import PLANS
 from smooth_operator_research.cross_hand.replay import grip_of, replay, wrist_path
+from smooth_operator_research.cross_hand.scenes import SCALED, scene_of
 
 
 @pytest.mark.parametrize("tracker", ["glove", "headset", "camera"])
@@ -50,16 +51,18 @@ def test_a_task_without_a_plan_is_refused():
         record("card", 0)
 
 
-def test_the_robots_grip_takes_the_place_of_the_humans():
+@pytest.mark.parametrize("task", ["relocate", f"relocate{SCALED}"])
+def test_the_robots_grip_takes_the_place_of_the_humans(task):
     hand, demonstration = load_hand("leap_hand"), record("relocate", 2)
-    scene = demonstration.variation.scene(scene_for("relocate", hand))
+    scene = demonstration.variation.scene(scene_of(task, hand))
     joints = np.tile(hand.full_configuration(hand.neutral), (len(demonstration.times), 1))
     index = np.searchsorted(demonstration.times, demonstration.touch)
     pose = wrist_path(hand, demonstration, joints, scene)[index]
     robot = pose[:3] + poses.rotate(pose[3:], grip_of(hand, joints[index]))
     human = poses.compose(np.concatenate(scene.start), demonstration.wrist[index])
     centre = human[:3] + poses.rotate(human[3:], demonstration.centre)
-    np.testing.assert_allclose(robot, centre, atol=1e-9)
+    start = scene.start[0]
+    np.testing.assert_allclose(robot, start + scene.scale * (centre - start), atol=1e-9)
     np.testing.assert_allclose(pose[3:], human[3:], atol=1e-9)
 
 
@@ -70,6 +73,18 @@ def test_a_robot_hand_relocates_what_a_human_relocated_and_not_with_a_still_hand
     assert replay(retargeter.hand, demonstration, joints).score == 1.0
     still = np.tile(joints[:1], (len(joints), 1))
     assert replay(retargeter.hand, demonstration, still).score == 0.0
+
+
+@pytest.mark.parametrize("task", list(PLANS))
+def test_a_scaled_scene_has_the_size_of_the_robot_hand(task):
+    hand = load_hand("leap_hand")
+    scene, nominal = scene_of(f"{task}{SCALED}", hand), scene_of(task, hand)
+    assert scene.scale == pytest.approx(1.25, abs=0.02)
+    for scaled, own in (
+        (scene.target, nominal.target),
+        (scene.varied(0, np.ones(3)).target, nominal.varied(0, np.ones(3)).target),
+    ):
+        np.testing.assert_allclose(scaled - (0, 0, TOP), scene.scale * (own - (0, 0, TOP)))
 
 
 @pytest.mark.weekly

@@ -114,7 +114,19 @@ def test_a_hand_whose_scene_can_not_be_built_is_no_failure(monkeypatch, tmp_path
 def test_the_page_has_a_place_for_every_table():
     page = Path(__file__).parents[1] / "docs" / "cross-hand.md"
     names = [match[1] for match in BLOCK.finditer(page.read_text(encoding="utf-8"))]
-    assert sorted(names) == sorted(tables.TABLES)
+    assert sorted(names) == sorted({*tables.TABLES, *tables.SCALED_TABLES})
+
+
+def test_trials_with_scaled_objects_have_their_own_tables(blocks, tmp_path):
+    path = tmp_path / "matrix.jsonl"
+    run_matrix(replace(TINY, tasks=("tongs",), worlds=1), path)
+    run_matrix(replace(TINY, tasks=matrix.TASKS, scaled=True, worlds=3), path)
+    assert {block.task for block in blocks[2:]} == {f"{task}:scaled" for task in matrix.PLANS}
+    results = MatrixResults(path)
+    for scaled, worlds in ((False, 1), (True, 3)):
+        outcomes = Outcomes(results, scaled=scaled)
+        assert not outcomes.older
+        assert outcomes.successes("tongs", "smooth:teleop").shape == (1, worlds)
 
 
 def test_the_motion_of_a_nail_is_in_the_tables(tmp_path, monkeypatch):
@@ -157,6 +169,7 @@ def test_a_hundred_worlds_share_the_trackers_and_unknown_names_are_errors():
         (UnknownNameError, {"hands": ("no_hand",)}),
         (UnknownNameError, {"trackers": ("sonar",)}),
         (ConfigError, {"worlds": 0}),
+        (ConfigError, {"scaled": True, "tasks": ("cube",)}),
     ):
         with pytest.raises(error):
             MatrixSettings(**settings)

@@ -23,7 +23,7 @@ from smooth_operator_research.cross_hand.matrix import (
 )
 from smooth_operator_research.cross_hand.pictures import draw_strip, plot_success
 from smooth_operator_research.cross_hand.results import MatrixResults
-from smooth_operator_research.cross_hand.tables import TABLES, Outcomes
+from smooth_operator_research.cross_hand.tables import SCALED_TABLES, TABLES, Outcomes
 from smooth_operator_research.paper.docs_tables import BLOCK, block, replaced
 
 PLOT = "cross-hand.svg"
@@ -41,6 +41,7 @@ def run(options: RunMatrix) -> None:
         worlds=options.worlds,
         workers=options.workers,
         keep_older=options.keep_older,
+        scaled=options.scaled,
     )
     folder = options.results.parent
     with folder_for(folder), claimed(folder):
@@ -56,10 +57,12 @@ def run(options: RunMatrix) -> None:
 
 def report(options: ReportMatrix) -> None:
     """Prints the tables, or replaces them in a page."""
-    outcomes = Outcomes(_results(options))
+    results = _results(options)
+    outcomes, scaled = Outcomes(results), Outcomes(results, scaled=True)
+    available = TABLES | (SCALED_TABLES if scaled.trials else {})
     text = "" if options.docs is None else options.docs.read_text(encoding="utf-8")
-    for name in [match[1] for match in BLOCK.finditer(text)] if text else TABLES:
-        content = block(name, TABLES[name](outcomes))
+    for name in [match[1] for match in BLOCK.finditer(text)] if text else available:
+        content = block(name, available[name](scaled if name in SCALED_TABLES else outcomes))
         if options.docs is None:
             print(content, end="\n\n")
         text = replaced(text, name, content)

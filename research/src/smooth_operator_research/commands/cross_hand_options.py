@@ -29,6 +29,7 @@ the user.
 Examples:
   smooth-operator cross-hand run --worlds 12
   smooth-operator cross-hand run --hands mimic_p050,leap_hand --methods smooth --tasks cube
+  smooth-operator cross-hand run --scaled --worlds 12
 """
 
     results: Annotated[Path, arg(metavar="FILE")] = RESULTS
@@ -56,6 +57,10 @@ Examples:
 
     keep_older: bool = False
     """Keep results by other code instead of repeating these trials."""
+
+    scaled: bool = False
+    """Scale relocate, hammer and tongs by the length of each robot hand, and leave out the other
+    tasks. These trials have their own cells and tables."""
 
     quiet: bool = False
     """Hide progress output."""

@@ -28,10 +28,8 @@ from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_ha
 from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
 from smooth_operator.types import HandRecording
 from smooth_operator_research.cross_hand.plans import PLANS, Waypoint
+from smooth_operator_research.cross_hand.scenes import HAND_LENGTH
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
-
-HAND_LENGTH: Final = 0.19
-"""Length of the human's hand, from the wrist to the tip of the middle finger [m]."""
 
 _PERSON: Final = 0  # seed of the anatomy
 _OPEN: Final = np.deg2rad(

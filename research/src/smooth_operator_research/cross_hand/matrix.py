@@ -25,6 +25,7 @@ from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.cross_hand.plans import PLANS
 from smooth_operator_research.cross_hand.results import Cell, MatrixResults
+from smooth_operator_research.cross_hand.scenes import SCALED
 from smooth_operator_research.cross_hand.trials import CEILING, Block, method_of, run_block
 from smooth_operator_research.demonstrations.demonstration import (
     DEFAULT_HAND,
@@ -32,7 +33,7 @@ from smooth_operator_research.demonstrations.demonstration import (
 )
 
 TASKS: Final = (*FIXED_WRIST, *PLANS)
-"""Tasks of the matrix."""
+"""Tasks of the matrix; those with a moving wrist can also be scaled."""
 
 HANDS: Final = (
     "ability_hand",
@@ -71,6 +72,8 @@ class MatrixSettings:
 
     Attributes:
         tasks: names of tasks.
+        scaled: True to scale the tasks with a moving wrist by the length of each robot hand, and
+            to leave out the other tasks.
         hands: names of hands; ``all`` for all built-in hands.
         methods: methods in the form for ``select_methods``, then as ``METHOD:PRESET``.
         trackers: kinds of trackers, which take turns over the worlds.
@@ -86,11 +89,17 @@ class MatrixSettings:
     worlds: int = 12
     workers: int | None = None
     keep_older: bool = False
+    scaled: bool = False
 
     def __post_init__(self) -> None:
         for task in self.tasks:
             if task not in TASKS:
                 raise UnknownNameError("task of the matrix", task, TASKS)
+        if self.scaled:
+            scaled = tuple(f"{task}{SCALED}" for task in self.tasks if task in PLANS)
+            if not scaled:
+                raise ConfigError(f"only these tasks can be scaled: {', '.join(PLANS)}")
+            object.__setattr__(self, "tasks", scaled)
         if not self.tasks or not self.trackers:
             raise ConfigError("name at least one task and one tracker")
         if self.worlds < 1:
@@ -184,6 +193,7 @@ _MOVING_WRIST_CODE: Final = (
         "cross_hand/human.py",
         "cross_hand/plans.py",
         "cross_hand/replay.py",
+        "cross_hand/scenes.py",
         "simulation/scenes/table_scene.py",
     ),
     *("simulation/arms/free_wrist.py", "simulation/arms/arm.py"),
@@ -209,9 +219,10 @@ def trial_code(task: str, hand: str, method: str) -> str:
     Other hands, tasks and methods are not in it, so that their changes leave a result valid.
     Versions of libraries are not in it either, so that another machine can continue a file.
     """
-    names = {*_TRIAL_CODE, _file_of(SCENES[task]), _file_of(SIMULATED_TASKS[task].scorer)}
+    name = task.removesuffix(SCALED)
+    names = {*_TRIAL_CODE, _file_of(SCENES[name]), _file_of(SIMULATED_TASKS[name].scorer)}
     if task not in FIXED_WRIST:
-        names |= {*_MOVING_WRIST_CODE, _file_of(PLANS[task])}
+        names |= {*_MOVING_WRIST_CODE, _file_of(PLANS[name])}
     names |= {f"hands/{path.name}" for path in (HOME / "hands").glob("*.py")}
     names.add(f"demonstrations/data/{hand if method == CEILING else DEFAULT_HAND}")
     config = None if method == CEILING else method_of(method)

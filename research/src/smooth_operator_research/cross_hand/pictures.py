@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _WIDTH, _HEIGHT = 240, 180  # size of a picture of a strip [px]
 _LINE: Final = 14  # height of its text [px]
-_FAR_M: Final = 1.0  # distance of the camera from a hand that moves [m]
+_FAR_M: Final = 0.75  # distance of the camera from a hand that moves [m]
 
 
 def plot_success(outcomes: Outcomes) -> Figure:

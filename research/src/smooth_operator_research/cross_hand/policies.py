@@ -39,9 +39,9 @@ from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.start import start_jax
-from smooth_operator.simulation.scenes import scene_for
 from smooth_operator_research.cross_hand.human import HumanDemonstration
 from smooth_operator_research.cross_hand.replay import STAYS_S, wrist_path
+from smooth_operator_research.cross_hand.scenes import scene_of
 from smooth_operator_research.cross_hand.trials import record, retarget
 from smooth_operator_research.paper.docs_tables import replaced
 from smooth_operator_research.paper.intervals import independent, mean_of
@@ -177,7 +177,7 @@ def derive_actions(
     for demonstration, commands in zip(demonstrations, retargeted, strict=True):
         targets = commands.joint_positions[:, list(hand.actuated)]
         if isinstance(demonstration, HumanDemonstration):
-            scene = demonstration.variation.scene(scene_for(task, hand))
+            scene = demonstration.variation.scene(scene_of(task, hand))
             path = wrist_path(hand, demonstration, commands.joint_positions, scene)
             apart = poses.relative(scene.mount.wrist_pose, path)
             vectors = poses.rotation_vectors(apart[:, 3:])

@@ -11,10 +11,11 @@ from jaxtyping import Float
 from smooth_operator import poses
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.arm import HandMount
-from smooth_operator.simulation.scenes import Scene, ScenePhysics, SceneState
+from smooth_operator.simulation.scenes import ScenePhysics, SceneState
+from smooth_operator.simulation.scenes.table_scene import TableScene
 from smooth_operator.simulation.tasks import Outcome, task_named
 from smooth_operator_research.cross_hand.human import HumanDemonstration
-from smooth_operator_research.cross_hand.scenes import scene_of
+from smooth_operator_research.cross_hand.scenes import SCALED, scene_of
 from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, Moment, perform
 
 STAYS_S: Final = 1.0
@@ -38,18 +39,19 @@ def wrist_path(
     hand: Hand,
     demonstration: HumanDemonstration,
     joints: Float[np.ndarray, "t n"],
-    scene: Scene,
+    scene: TableScene,
 ) -> Float[np.ndarray, "t 7"]:
     """Returns the (t, 7) poses of the robot's wrist in the world: those of the human, shifted so
     that when the human touches the object, the middle between the robot's thumb and fingers is
-    where the human's is.
+    where the human's is. In a scaled scene the human's way from the object is scaled, too.
 
     Args:
         joints: (t, n) retargeted positions of all joints [rad].
     """
     index = min(int(np.searchsorted(demonstration.times, demonstration.touch)), len(joints) - 1)
-    shift = demonstration.centre - grip_of(hand, joints[index])
-    wrist = poses.compose(np.concatenate(scene.start), demonstration.wrist)
+    shift = scene.scale * demonstration.centre - grip_of(hand, joints[index])
+    human = demonstration.wrist * np.repeat([scene.scale, 1.0], [3, 4])
+    wrist = poses.compose(np.concatenate(scene.start), human)
     wrist[:, :3] += poses.rotate(wrist[:, 3:], shift)
     return wrist
 
@@ -59,18 +61,22 @@ def play(
     demonstration: HumanDemonstration,
     joints: Float[np.ndarray, "t n"],
     watch: Callable[[ScenePhysics], None] | None = None,
+    *,
+    scaled: bool = False,
 ) -> Iterator[Moment]:
     """Plays retargeted joints and the wrist open loop, in the world of the demonstration.
 
     Args:
         joints: (t, n) retargeted positions of all joints [rad].
         watch: called with the physics before the first moment.
+        scaled: True for a scene whose lengths are scaled by the length of the robot hand.
 
     Yields:
         the moments of the trial.
     """
     task = task_named(demonstration.task)
-    scene = demonstration.variation.scene(scene_of(demonstration.task, hand))
+    own = scene_of(demonstration.task + SCALED * scaled, hand)
+    scene = demonstration.variation.scene(own)
     wrist = scene.free_wrist(hand)
     physics = ScenePhysics(hand, scene, carried=wrist)
     demonstration.variation.prepare(physics)

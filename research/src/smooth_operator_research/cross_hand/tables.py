@@ -17,7 +17,9 @@ from jaxtyping import Float
 from smooth_operator.benchmark.cells import method_label
 from smooth_operator.simulation.tasks import TASKS as SIMULATED_TASKS
 from smooth_operator_research.cross_hand.matrix import HANDS, METHODS, TASKS, TRACKERS, trial_code
+from smooth_operator_research.cross_hand.plans import PLANS
 from smooth_operator_research.cross_hand.results import CONTACTS, MatrixResults, Trial
+from smooth_operator_research.cross_hand.scenes import SCALED
 from smooth_operator_research.cross_hand.trials import CEILING
 from smooth_operator_research.paper.experiment import Table
 from smooth_operator_research.physics.results import wilson
@@ -39,6 +41,9 @@ Place = tuple[str, str, str]
 class Outcomes:
     """All trials of a file, by task, hand and method.
 
+    Args:
+        scaled: True for the trials with scaled objects, False for the others.
+
     Attributes:
         tasks, hands, methods: names in the order of the tables; methods without the ceiling.
         trials: place -> world and tracker -> trial.
@@ -46,18 +51,20 @@ class Outcomes:
         older: places with trials by older code.
     """
 
-    def __init__(self, results: MatrixResults) -> None:
+    def __init__(self, results: MatrixResults, *, scaled: bool = False) -> None:
         self.trials: dict[Place, dict[tuple[int, str], Trial]] = {}
         self.obstacles: dict[Place, str] = {}
         self.older: set[Place] = set()
         for (cell, code), row in results.rows.items():
-            place = (cell.task, cell.hand, cell.method)
+            if cell.task.endswith(SCALED) != scaled:
+                continue
+            place = (cell.task.removesuffix(SCALED), cell.hand, cell.method)
             if row.obstacle:
                 self.obstacles[place] = row.obstacle
             if row.trials:
                 own = self.trials.setdefault(place, {})
                 own |= {(world, cell.tracker): trial for world, trial in row.trials.items()}
-            if code != trial_code(*place):
+            if code != trial_code(cell.task, cell.hand, cell.method):
                 self.older.add(place)
         places = [*self.trials, *self.obstacles]
         self.tasks = _ordered((place[0] for place in places), TASKS)
@@ -353,3 +360,9 @@ TABLES: Final[dict[str, Callable[[Outcomes], Table]]] = {
     "data": data_table,
 }
 """Name of a table in the page -> function that makes it."""
+
+SCALED_TABLES: Final = {
+    f"scaled-{name}": TABLES[name]
+    for name in ("means", "differences", *(f"success-{task}" for task in PLANS))
+}
+"""The same for tables of the trials with scaled objects."""

@@ -22,7 +22,7 @@ from smooth_operator_research.cross_hand import fixed_wrist, human, replay
 from smooth_operator_research.cross_hand.fixed_wrist import FixedWristDemonstration, Watch
 from smooth_operator_research.cross_hand.human import HumanDemonstration
 from smooth_operator_research.cross_hand.results import Cell, Row, Trial
-from smooth_operator_research.cross_hand.scenes import scene_of
+from smooth_operator_research.cross_hand.scenes import SCALED, scene_of
 from smooth_operator_research.demonstrations.trial_loop import Moment
 
 CEILING: Final = "own demonstration"
@@ -34,7 +34,7 @@ class Block:
     """Trials of one hand in one task with one method, as work for one process.
 
     Attributes:
-        task: name of the task.
+        task: name of the task, perhaps with ``SCALED``.
         hand: name of the right hand.
         method: method as ``METHOD:PRESET``, or ``CEILING``.
         worlds: world number and tracker of each trial; tracker "" for the ceiling.
@@ -76,7 +76,8 @@ def play_block(
         for world, _ in block.worlds:
             yield fixed_wrist.play_own(hand, block.task, world, watch)
         return
-    demonstrations = [record(block.task, *world) for world in block.worlds]
+    task, scaled = block.task.removesuffix(SCALED), block.task.endswith(SCALED)
+    demonstrations = [record(task, *world) for world in block.worlds]
     joints = {}
     for chosen in dict.fromkeys(tracker for _, tracker in block.worlds):
         places = [k for k, (_, tracker) in enumerate(block.worlds) if tracker == chosen]
@@ -85,7 +86,7 @@ def play_block(
             joints[k] = commands.joint_positions
     for k, demonstration in enumerate(demonstrations):
         if isinstance(demonstration, HumanDemonstration):
-            yield replay.play(hand, demonstration, joints[k], watch)
+            yield replay.play(hand, demonstration, joints[k], watch, scaled=scaled)
         else:
             yield fixed_wrist.play(hand, demonstration, joints[k], watch)
 
@@ -95,8 +96,9 @@ Demonstration: TypeAlias = HumanDemonstration | FixedWristDemonstration
 
 def record(task: str, world: int, tracker: str) -> Demonstration:
     """Records the human of a world with a tracker."""
-    source = fixed_wrist if task in FIXED_WRIST else human
-    return source.record(task, world, tracker)
+    if task in FIXED_WRIST:
+        return fixed_wrist.record(task, world, tracker)
+    return human.record(task, world, tracker)
 
 
 def retarget(

@@ -44,7 +44,7 @@ class RelocateScene(TableScene):
         name = list(SHAPES)[shape % len(SHAPES)]
         (x, y, _), turn = self.start
         start = (np.array([x, y, TOP + self.scale * SHAPES[name][1][-1]]), turn)
-        return replace(self, shape=name, start=start, target=self.target + shift)
+        return replace(self, shape=name, start=start, target=self.target + self.scale * shift)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
         """Adds the table, and the mark at the target."""
@@ -87,7 +87,7 @@ def relocate_scene(hand: Hand, shape: str = "ball", scale: float = 1.0) -> Reloc
     return RelocateScene(
         mount=at,
         start=(place, np.array([1.0, 0.0, 0.0, 0.0])),
-        target=np.array([0.0, 0.0, TOP]) + _TARGET,
+        target=np.array([0.0, 0.0, TOP]) + scale * np.array(_TARGET),
         scale=scale,
         shape=shape,
     )

@@ -141,7 +141,7 @@ class HammerScene(ToolScene):
 
     def varied(self, shape: int, shift: Float[np.ndarray, "3"]) -> Self:
         """Returns the scene with another target; see ``Scene.varied``."""
-        return replace(self, target=self.target + _TARGET_SHARE * shift)
+        return replace(self, target=self.target + self.scale * _TARGET_SHARE * shift)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
         """Adds the table, the stand, the block and the nail."""
