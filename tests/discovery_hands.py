@@ -57,19 +57,18 @@ def make_hand(
     fingers: int = 5,
     side: str = "right",
     joints: int = 3,
-    spread: bool = True,
     tip_links: bool = False,
     shapes: bool = True,
     arm: int = 0,
     coupled: bool = False,
     turned: bool = True,
     prefix: str = "",
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Model:
     """A hand of random proportions.
 
     Drawn up as a right hand with fingers along z, palm to -y, thumb at +x, then mirrored if need
-    be, every frame turned at random, and names shuffled.
+    be, and every frame turned at random. Half of the joints count the other way round, unless some
+    are coupled.
     """
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.7, 1.5)
@@ -126,27 +125,19 @@ def make_hand(
         scale = size * rng.uniform(0.85, 1.1)
         along = np.array([-0.0 + 0.08 * across, 0.0, 1.0])
         segments = (0.042, 0.028, 0.022)[:joints]
-        steps = [(along * s * scale, -0.1, np.array([1.0, 0.0, 0.0]), 1.6) for s in segments]
-        if spread:
-            steps.insert(0, (np.zeros(3), -0.3, np.array([0.0, 1.0, 0.0]), 0.3))
-        chain(base, steps, along * segments[-1] * scale * 0.95)
+        bends = [(along * s * scale, -0.1, np.array([1.0, 0.0, 0.0]), 1.6) for s in segments]
+        spread = (np.zeros(3), -0.3, np.array([0.0, 1.0, 0.0]), 0.3)
+        chain(base, [spread, *bends], along * segments[-1] * scale * 0.95)
 
     body = {p.name: p for p in parts}
     if side == "left":
         body = {name: mirrored(p) for name, p in body.items()}
         tips = [(name, tip * (-1, 1, 1)) for name, tip in tips]
-    body = {
-        name: flipped(p) if p.axis is not None and rng.random() < 0.5 else p
-        for name, p in body.items()
-    }
-    for name, p in list(body.items()):  # a flipped leader turns its followers' gain round
-        if p.mimic is not None:
-            leader = next(q for q in body.values() if q.joint == p.mimic[0])
-            original = next(q for q in parts if q.joint == p.mimic[0])
-            own = next(q for q in parts if q.name == name)
-            sign = 1 if (leader.limits == original.limits) == (p.limits == own.limits) else -1
-            shift = 1 if p.limits == own.limits else -1
-            body[name] = replace(p, mimic=(p.mimic[0], p.mimic[1] * sign, p.mimic[2] * shift))
+    if not coupled:
+        body = {
+            name: flipped(p) if p.axis is not None and rng.random() < 0.5 else p
+            for name, p in body.items()
+        }
     if turned:
         body, tips = scrambled(body, tips, rng)
     if not shapes:
@@ -172,7 +163,7 @@ def make_hand(
         )
         top = f"a{k}"
     place = Rotation.from_rotvec(rng.normal(size=3)).as_matrix() if turned else np.eye(3)
-    ordered[0] = replace(ordered[0], parent=top, position=np.array(at), rotation=place)
+    ordered[0] = replace(ordered[0], parent=top, rotation=place)
     first += ordered
     fresh = {p.name: prefix + p.name for p in first}
     renamed = [
@@ -224,14 +215,14 @@ def scrambled(
     return out, [(name, turn[name].T @ tip) for name, tip in tips]
 
 
-def urdf(parts: tuple[Part, ...], *, mesh: str = "", inertia: str = "") -> str:
+def urdf(parts: tuple[Part, ...], *, mesh: str = "") -> str:
     """As URDF; ``mesh`` is the file name of a mesh that every link also has."""
     lines = ['<robot name="r">']
     roots = [p for p in parts if p.parent is None]
     if len(roots) > 1 or roots[0].axis is not None:
         lines.append('<link name="root"/>')
     for p in parts:
-        lines.append(f'<link name="{p.name}">{inertia}')
+        lines.append(f'<link name="{p.name}">')
         if p.end is not None:
             rpy = _along(p.end).as_euler("xyz")
             half, length = p.end / 2, np.linalg.norm(p.end)
@@ -263,12 +254,12 @@ def urdf(parts: tuple[Part, ...], *, mesh: str = "", inertia: str = "") -> str:
     return "\n".join([*lines, "</robot>"])
 
 
-def mjcf(parts: tuple[Part, ...], *, sites: bool = False, tips: Truth | None = None) -> str:
-    """As MJCF, with capsules for shapes."""
+def mjcf(parts: tuple[Part, ...], *, tips: Sequence[tuple[str, Vector]] = ()) -> str:
+    """As MJCF, with capsules for shapes, and with sites at ``tips``."""
     children: dict[str | None, list[Part]] = {}
     for p in parts:
         children.setdefault(p.parent, []).append(p)
-    marks = dict(tips.tips) if sites and tips else {}
+    marks = dict(tips)
 
     def body(p: Part) -> str:
         quat = Rotation.from_matrix(p.rotation).as_quat(scalar_first=True)

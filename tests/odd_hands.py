@@ -201,30 +201,6 @@ def prosthesis() -> Drawing:
     return drawing
 
 
-def pincer_with_a_wide_thumb() -> Drawing:
-    """Two long fingers and a thumb below them that swings across, as on many grippers."""
-    drawing = Drawing("chassis", [palm("chassis", 0.8)])
-    out = np.array([0.5, -0.5, 0.7])
-    drawing.finger(
-        "alpha",
-        np.array([0.03, -0.03, 0.0]),
-        [
-            (0 * X, -Z, (-0.2, 1.8)),
-            (0.02 * out, np.array([-0.7, -0.7, 0.0]), (-0.2, 1.2)),
-            (0.05 * out, np.array([-0.7, -0.7, 0.0]), (0.0, 1.2)),
-        ],
-        0.04 * out,
-    )
-    for name, x in (("beta", 0.022), ("gamma", -0.022)):
-        drawing.finger(
-            name,
-            np.array([x, 0.0, 0.07]),
-            [(0 * X, X, (-0.2, 1.5)), (0.06 * Z, X, (0.0, 1.6))],
-            0.045 * Z,
-        )
-    return drawing
-
-
 def _four_fingers(
     drawing: Drawing, *, apart: float = 0.02, limits: tuple[float, float] = (-0.1, 1.6)
 ) -> None:
@@ -327,25 +303,3 @@ def four_bar_gripper() -> Drawing:
         for p in drawing.parts
     ]
     return drawing
-
-
-def tendon_text(model: Model, text: str) -> str:
-    """The MJCF with its equalities as tendons of one actuator each, and a motor on all the rest."""
-    led = {p.mimic[0]: (p.joint, p.mimic[1]) for p in model.parts if p.mimic}
-    start, end = text.index("<equality>"), text.index("</equality>") + len("</equality>")
-    tendons, motors = [], []
-    followers = {joint for joint, _ in led.values()}
-    for part in model.parts:
-        if not part.joint or part.joint in followers:
-            continue
-        if part.joint in led:
-            joint, share = led[part.joint]
-            tendons.append(
-                f'<fixed name="t_{part.joint}"><joint joint="{part.joint}" coef="1"/>'
-                f'<joint joint="{joint}" coef="{share}"/></fixed>'
-            )
-            motors.append(f'<motor tendon="t_{part.joint}"/>')
-        else:
-            motors.append(f'<motor joint="{part.joint}"/>')
-    more = f"<tendon>{''.join(tendons)}</tendon><actuator>{''.join(motors)}</actuator>"
-    return text[:start] + more + text[end:]

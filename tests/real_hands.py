@@ -6,9 +6,6 @@ a description of ours shows.
 
 from dataclasses import dataclass
 
-import mujoco
-import numpy as np
-
 At = tuple[str, tuple[float, float, float]]
 """Body, offset in its frame [m]."""
 Finger = tuple[At | None, At | None, At | None, At | None]
@@ -252,21 +249,3 @@ REAL: dict[tuple[str, str], RealHand] = {
     },
 }
 """The published models by our name and side; the mimic hand has its own tests."""
-
-
-def positions(
-    model: mujoco.MjModel, palm: str, points: list[At], poses: np.ndarray, joints: list[int]
-) -> np.ndarray:
-    """(T, k, 3) points in the palm frame by MuJoCo, joints at ``poses`` and the others at rest."""
-    data = mujoco.MjData(model)
-    base = model.body(palm).id
-    bodies = [model.body(name).id for name, _ in points]
-    offsets = np.array([offset for _, offset in points])
-    out = np.empty((len(poses), len(points), 3))
-    for frame, pose in enumerate(poses):
-        data.qpos[model.jnt_qposadr[joints]] = pose
-        mujoco.mj_kinematics(model, data)
-        rotation = data.xmat.reshape(-1, 3, 3)
-        world = data.xpos[bodies] + np.einsum("kij,kj->ki", rotation[bodies], offsets)
-        out[frame] = (world - data.xpos[base]) @ rotation[base]
-    return out

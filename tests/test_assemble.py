@@ -15,7 +15,6 @@ from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
 from smooth_operator.retargeting.aligned_recording import align_recording
-from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
@@ -37,15 +36,6 @@ def run(side: Side, frames: int = 30) -> tuple[HandRecording, CommandTrajectory,
     return recording, commands, hand
 
 
-def depth(hand: Hand, **joints: float) -> float:
-    """Penetration of the neutral pose with some joints elsewhere."""
-    q = hand.neutral.copy()
-    for name, value in joints.items():
-        q[hand.actuated_names.index(name)] = value
-    depths = penetration_depths(hand, hand.full_configuration(q)[None])
-    return float(depths[0])
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_positions_are_mujocos_in_the_palm_frame(side):
     recording, commands, hand = run(side)
@@ -64,16 +54,6 @@ def test_positions_are_mujocos_in_the_palm_frame(side):
             np.testing.assert_array_equal(trace.robot_landmarks[i, k], trace.robot_tips[i, f])
     np.testing.assert_array_equal(trace.robot_landmarks[:, 0], [trace.robot_wrist] * len(trace))
     np.testing.assert_array_equal(trace.human, align_recording(recording, hand))
-
-
-def test_the_human_is_measured_at_the_methods_own_scale():
-    recording, commands, hand = run("right")
-    small, large = (
-        assemble_trace(recording, commands, hand, AlignmentConfig(scale=s), reach_samples=0)
-        for s in (0.5, 1.0)
-    )
-    lengths = [np.linalg.norm(t.human_keyvectors, axis=-1) for t in (small, large)]
-    np.testing.assert_allclose(2 * lengths[0], lengths[1])
 
 
 def test_everything_that_can_be_measured_is():
@@ -110,15 +90,6 @@ def test_reach_is_seeded_and_holds_what_poses_reach(side):
     np.testing.assert_allclose(reach, hand.tips(hand.full_configuration(q)), atol=1e-12)
 
 
-@pytest.mark.parametrize("side", SIDES)
-def test_neutral_is_clear_and_crossing_fingers_are_not(side):
-    hand = load_hand("mimic_p050", side)
-    assert depth(hand) == 0.0
-    # index straight under the middle finger that closes over it: both at the ends of their spread
-    crossed = depth(hand, index_base2mcp=0.0, middle_base2mcp=0.628)
-    assert 0.002 < crossed < 0.02
-
-
 def test_shapes_that_touch_in_the_neutral_pose_do_not_count():
     hand = load_hand()
     data = mujoco.MjData(hand.model)
@@ -129,30 +100,6 @@ def test_shapes_that_touch_in_the_neutral_pose_do_not_count():
     counts = {frozenset(pair) for pair in parts_apart(hand).shapes.tolist()}
     assert counts
     assert not counts & {frozenset(pair) for pair in geoms.tolist()}
-
-
-def test_depth_is_that_of_the_shapes():
-    """Against MuJoCo's own distance of every pair that counts: two fingers, one against another."""
-    hand = load_hand()
-    low, high = hand.limits.T
-    poses = hand.full_configuration(np.random.default_rng(5).uniform(low, high, (60, len(low))))
-    depths = penetration_depths(hand, poses)
-    geoms = {hand.model.geom(g).name: g for g in range(hand.model.ngeom)}
-    fingers = [[g for n, g in geoms.items() if n.startswith(f)] for f in hand.fingers]
-    data = mujoco.MjData(hand.model)
-    for pose, found in zip(poses, depths, strict=True):
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(hand.model, data)
-        nearest = min(
-            mujoco.mj_geomDistance(hand.model, data, a, b, 0.1, None)
-            for i, first in enumerate(fingers)
-            for second in fingers[:i]
-            for a in first
-            for b in second
-        )
-        assert found >= -nearest - 1e-4  # deeper only where the palm is touched
-    assert (depths > 0.002).any()
-    assert (depths == 0).any()
 
 
 def test_surfaces_of_tips_are_as_far_apart_as_their_capsules(tmp_path):

@@ -54,17 +54,6 @@ def links(pairs: CapsulePairs, hand: Hand) -> set[frozenset[int]]:
     return {frozenset(hand.model.geom_bodyid[[int(a), int(b)]].tolist()) for a, b in pairs.shapes}
 
 
-def test_no_pair_is_left_out_that_meets_while_there_is_room(whole):
-    """The deepest in any of other poses is among them, to the slack."""
-    pairs = capsule_pairs(whole)
-    assert len(pairs.pairs) < MOST
-    q = poses_of(whole, 400)
-    true = penetration_depths(whole, whole.full_configuration(q))
-    deep = true > 0.004
-    assert deep.mean() > 0.1
-    assert (deepest(pairs, whole, q)[deep] > 0).mean() > 0.99
-
-
 def test_of_too_many_pairs_those_are_kept_that_meet_most(whole, in_pieces):
     pairs = capsule_pairs(in_pieces)
     assert len(pairs.pairs) == MOST

@@ -1,13 +1,11 @@
-"""Kabsch-Umeyama against closed forms and a reference by SVD; the similarity as a group."""
+"""Kabsch-Umeyama against closed forms and a reference by SVD."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from trees import float64, random_rotations
 
-from smooth_operator.geometry import Similarity, array_namespace, umeyama
+from smooth_operator.geometry import Similarity, umeyama
 
 COUNTS = [3, 4, 14]
 
@@ -71,10 +69,14 @@ def test_turns_about_an_axis_of_an_aligned_set(turn, axis):
         np.testing.assert_allclose(fit.rotation, rotation, atol=1e-12)
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("count", COUNTS)
-def test_noisy_sets_equal_the_reference(count):
+def test_the_fit_is_that_of_the_reference(count, mirrored):
+    """Of unrelated points, and of a mirror image, whose best fit is a rotation as well."""
     rng = np.random.default_rng([count, 1])
     source, target = rng.normal(0, 0.05, (2, 300, count, 3))
+    if mirrored:
+        target = source * (-1, 1, 1) + rng.normal(0, 1e-3, source.shape)
     fit = umeyama(source, target)
     rotation, scale, translation = svd_reference(source, target)
     reference = Similarity(rotation, translation, scale, scale)
@@ -83,27 +85,6 @@ def test_noisy_sets_equal_the_reference(count):
     )
     np.testing.assert_allclose(fit.scale, scale, rtol=1e-9)
     assert_proper(fit.rotation)
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_a_mirrored_set_gives_the_best_rotation_not_a_reflection(count):
-    rng = np.random.default_rng([count, 2])
-    source = rng.normal(0, 0.05, (100, count, 3))
-    target = source * (-1, 1, 1) + rng.normal(0, 1e-3, source.shape)
-    fit = umeyama(source, target)
-    assert_proper(fit.rotation)
-    best = residual(fit, source, target)
-    rotation, scale, translation = svd_reference(source, target)
-    reference = Similarity(rotation, translation, scale, scale)
-    np.testing.assert_allclose(best, residual(reference, source, target), rtol=1e-9)
-    # ... and no rotation near it, nor any of many others, does better
-    near = Rotation.from_rotvec(rng.normal(0, 0.01, (50, 3))).as_matrix()
-    for far, tilt in zip(random_rotations(rng, 50), near, strict=True):
-        for other in (np.broadcast_to(far, fit.rotation.shape), tilt @ fit.rotation):
-            centre = np.einsum("...ij,...j->...i", other, source.mean(-2))
-            shift = target.mean(-2) - fit.scale[:, None] * centre
-            worse = residual(Similarity(other, shift, fit.scale, fit.scale), source, target)
-            assert (worse >= best * (1 - 1e-9)).all()
 
 
 LINE = np.outer([-0.3, 0.1, 0.5, 1.0], [0.02, -0.05, 0.03])
@@ -132,16 +113,6 @@ def test_degenerate_sets_are_finite_and_say_so(source, target, dtype):
     assert fit.condition < 1e-5
 
 
-def test_coincident_points_are_degenerate_whatever_the_rounding():
-    """The mean of n equal numbers may differ from them in the last digit."""
-    rng = np.random.default_rng(10)
-    for count in (3, 4, 5, 6, 14):
-        source = np.repeat(rng.normal(0, 0.5, (500, 1, 3)), count, 1).astype(np.float32)
-        target = rng.normal(0, 0.05, source.shape).astype(np.float32)
-        assert umeyama(source, target).condition.max() < 1e-5
-        assert umeyama(target, source).condition.max() < 1e-5
-
-
 def test_a_collinear_palm_is_told_from_a_flat_one():
     triangle = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.04, 0.0, 0]])
     heights = np.array([0.0, 0.0005, 0.002, 0.02, 0.06])
@@ -150,14 +121,6 @@ def test_a_collinear_palm_is_told_from_a_flat_one():
     condition = umeyama(sets, np.broadcast_to(CLOUD[:3], sets.shape)).condition
     assert condition[0] < 1e-12
     assert (np.diff(condition) > 0).all()
-
-
-def test_duplicate_points_are_fine_where_the_rest_determine_the_rotation():
-    rng = np.random.default_rng(4)
-    source = CLOUD[[0, 0, 1, 2, 2, 2]]
-    rotation = random_rotations(rng)
-    fit = umeyama(source, source @ rotation.T)
-    np.testing.assert_allclose(fit.rotation, rotation, atol=1e-10)
 
 
 def test_a_fixed_scale_is_held_and_the_rest_is_optimal():
@@ -171,25 +134,6 @@ def test_a_fixed_scale_is_held_and_the_rest_is_optimal():
     )  # centroids meet: the best translation for any scale
     each = rng.uniform(0.5, 2, 50)
     np.testing.assert_array_equal(umeyama(source, target, each).scale, each)
-
-
-def test_similarities_form_a_group():
-    rng = np.random.default_rng(6)
-    a, b, c = rng.normal(0, 0.05, (3, 40, 5, 3))
-    b, c = (
-        moved(a, random_rotations(rng, 40), rng.uniform(0.5, 2, 40), rng.normal(0, 1, (40, 3)))
-        for _ in range(2)
-    )
-    same = umeyama(a, a)
-    np.testing.assert_allclose(same.rotation, np.broadcast_to(np.eye(3), (40, 3, 3)), atol=1e-10)
-    np.testing.assert_allclose(same.scale, 1.0, atol=1e-12)
-    there, back, on, whole = umeyama(a, b), umeyama(b, a), umeyama(b, c), umeyama(a, c)
-    np.testing.assert_allclose(back.apply(there.apply(a)), a, atol=1e-10)
-    np.testing.assert_allclose(back.rotation, np.swapaxes(there.rotation, -1, -2), atol=1e-9)
-    np.testing.assert_allclose(back.scale * there.scale, 1.0, atol=1e-10)
-    np.testing.assert_allclose(on.rotation @ there.rotation, whole.rotation, atol=1e-9)
-    np.testing.assert_allclose(on.scale * there.scale, whole.scale, rtol=1e-10)
-    np.testing.assert_allclose(on.apply(there.apply(a)), whole.apply(a), atol=1e-10)
 
 
 def test_units_do_not_matter():
@@ -226,18 +170,6 @@ def test_float32_is_accurate_and_numpy_equals_jax(count):
             np.testing.assert_allclose(ours, theirs, atol=1e-11)
 
 
-def test_it_compiles_and_maps():
-    rng = np.random.default_rng(8)
-    source, target = jnp.asarray(rng.normal(0, 0.05, (2, 20, 4, 3)), jnp.float32)
-    batch = umeyama(np.asarray(source), np.asarray(target))
-    mapped = jax.jit(jax.vmap(umeyama))(source, target)
-    for ours, theirs in zip(mapped, batch, strict=True):
-        assert ours.shape == theirs.shape
-        np.testing.assert_allclose(ours, theirs, atol=2e-5)
-    shaped = umeyama(*(np.asarray(p).reshape(4, 5, 4, 3) for p in (source, target)))
-    np.testing.assert_allclose(shaped.rotation.reshape(20, 3, 3), batch.rotation, atol=1e-6)
-
-
 def test_gradients_are_finite_and_right():
     """Three points: the third singular value, and entries of the covariance, are zero."""
     rng = np.random.default_rng(9)
@@ -257,8 +189,3 @@ def test_gradients_are_finite_and_right():
         gradient = jax.jit(jax.grad(pulled))
         np.testing.assert_allclose(np.ravel(gradient(source, target)), numeric, atol=1e-7)
         assert np.isfinite(gradient(source, source)).all()
-
-
-def test_namespace_follows_the_arrays():
-    assert array_namespace(np.zeros(1), 2.0) is np
-    assert array_namespace(np.zeros(1), jnp.zeros(1)) is jnp

@@ -23,10 +23,8 @@ from smooth_operator.hand_discovery.hand_validation import (
     check_hand,
     check_method,
     check_pinches,
-    closest_pinch,
     reachable_poses,
     round_trip,
-    without_pull,
 )
 from smooth_operator.hand_discovery.joint_map import check_joint_map
 from smooth_operator.hand_files.spec_writer import write_hand_spec
@@ -57,25 +55,7 @@ BASICS = {
     "side",
     "pinches",
 }
-MIRROR_IMAGES = (
-    "aero_hand_open",
-    "dexhand021",
-    "inspire_ftp",
-    "linker_l10",
-    "linker_o6",
-    "orca_v1",
-    "sharpa_wave",
-    "tesollo_dg5f",
-    "unitree_dex3",
-    "unitree_dex5",
-)
-"""Their left hands are exact mirror images of the right ones: ``test_hand_registry.py``."""
-SIDES = [
-    (name, side)
-    for name in hand_names()
-    for side in ("right", "left")
-    if side == "right" or name not in (*MIRROR_IMAGES, *GRIPPERS)
-]
+SIDES = [(name, side) for name in hand_names() for side in ("right", "left")]
 EVERY_RUN = (("allegro_hand", "left"), ("inspire_hand", "left"), ("mimic_p050", "right"))
 """Hands of each run of the tests; the weekly run checks all."""
 
@@ -304,26 +284,6 @@ def test_nothing_that_rests_on_a_fault_is_measured(tmp_path):
     assert found["pinches"].verdict == "skipped"
 
 
-def test_the_closest_pinch_is_closer_than_any_random_pose():
-    samples = Samples(load_hand("inspire_hand"))
-    for k, finger in enumerate(samples.hand.fingers[1:], start=1):
-        random = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1).min()
-        assert closest_pinch(samples, finger) <= random
-    # the thumb sweeps in one plane beside the little finger: a grid over its three joints agrees
-    hand = samples.hand
-    joints = [hand.actuated_names.index(n) for n in hand.actuated_names if "thumb" in n]
-    joints.append(hand.actuated_names.index("pinky_proximal_joint"))
-    grid = np.stack(
-        np.meshgrid(*(np.linspace(*hand.limits[j], 25) for j in joints), indexing="ij"), axis=-1
-    ).reshape(-1, len(joints))
-    q = np.tile(hand.neutral, (len(grid), 1))
-    q[:, joints] = grid
-    tips = hand.tips(hand.full_configuration(q))
-    best = np.linalg.norm(tips[:, 4] - tips[:, 0], axis=1).min()
-    assert closest_pinch(samples, "pinky") == pytest.approx(best, abs=1e-3)
-    assert closest_pinch(samples, "pinky") <= best + 1e-9
-
-
 def test_the_least_gap_of_surfaces_is_reported_for_each_finger():
     """Of a hand whose thumb can't reach its ring and little fingers."""
     hand = load_hand("inspire_hand")
@@ -332,11 +292,8 @@ def test_the_least_gap_of_surfaces_is_reported_for_each_finger():
     tips, surfaces = check.figures["tips_mm"], check.figures["surfaces_mm"]
     assert (surfaces["index"], surfaces["middle"]) == (0.0, 0.0)
     assert check.advice.startswith("no pinch with ring, pinky:")  # the middle finger touches
-    every = hand.full_configuration(samples.poses)
-    wanted = np.tile([False, False, True, True], (len(every), 1))
-    random = 1e3 * tip_surface_distances(hand, every, wanted)[:, 2:].min(axis=0)
-    for name, least in zip(("ring", "pinky"), random, strict=True):
-        assert 5.0 < surfaces[name] < min(tips[name], least)
+    for name in ("ring", "pinky"):
+        assert 5.0 < surfaces[name] < tips[name]
         assert f"{name} {surfaces[name]:.1f}" in check.measured
     # the thumb and the finger meet in a plane: a grid over their joints agrees
     joints = [j for j, n in enumerate(hand.actuated_names) if "thumb" in n or "pinky" in n]
@@ -351,7 +308,7 @@ def test_the_least_gap_of_surfaces_is_reported_for_each_finger():
 
 
 def test_distances_to_shapes():
-    """A mesh of a cube and the same cube as a box; a sphere, a capsule and a cylinder."""
+    """A mesh of a cube is as far away as the same cube as a box; a sphere is round."""
     corners = " ".join(
         f"{x} {y} {z}" for x in (-0.01, 0.01) for y in (-0.02, 0.02) for z in (-0.03, 0.03)
     )
@@ -374,17 +331,10 @@ def test_distances_to_shapes():
         return np.array([part_distances(cast(Any, hand), body, p)[body] for p in points])
 
     box = distances('type="box" size="0.01 0.02 0.03"')
-    mesh = distances('type="mesh" mesh="cube"')
     assert (box < 0).any()
-    np.testing.assert_allclose(mesh, box, atol=1e-7)
-    away = points - (0, 0, 0.1)
-    ball = distances('type="sphere" size="0.02"')
-    np.testing.assert_allclose(ball, np.linalg.norm(away, axis=1) - 0.02, atol=1e-12)
-    np.testing.assert_allclose(distances('type="ellipsoid" size="0.02 0.02 0.02"'), ball, atol=1e-9)
-    capsule = distances('type="capsule" size="0.02 0.001"')
-    cylinder = distances('type="cylinder" size="0.02 0.021"')
-    assert (np.abs(capsule - ball) <= 0.001 + 1e-9).all()
-    assert (cylinder <= capsule + 1e-9).all()  # that capsule fits into it
+    np.testing.assert_allclose(distances('type="mesh" mesh="cube"'), box, atol=1e-7)
+    ball = np.linalg.norm(points - (0, 0, 0.1), axis=1) - 0.02
+    np.testing.assert_allclose(distances('type="sphere" size="0.02"'), ball, atol=1e-12)
 
 
 def test_reachable_poses_are_free_and_mean_no_pinch():
@@ -428,26 +378,13 @@ def test_a_round_trip_tells_a_hand_that_never_moves():
     idle = SimpleNamespace(hand=hand, init=lambda: None, step=step)
     trip = round_trip(cast(Retargeter, idle), poses=3, seed=1)
     assert trip.tip_error_mm.shape == (3, 4)
-    true = reachable_poses(hand, 3, 1)
-    np.testing.assert_array_equal(trip.q_true, hand.full_configuration(true))
-    apart = hand.tips(trip.q_true) - hand.tips(positions)
+    true = hand.full_configuration(reachable_poses(hand, 3, 1))
+    apart = hand.tips(true) - hand.tips(positions)
     np.testing.assert_allclose(trip.tip_error_mm, 1e3 * np.linalg.norm(apart, axis=-1))
     assert (trip.ok, trip.frozen, trip.limit_violations) == (0.0, 1.0, 3 * 35)
     assert trip.median == np.median(trip.tip_error_mm)
     with pytest.raises(ConfigError, match="one pose"):
         round_trip(cast(Retargeter, idle), poses=0, seed=1)
-
-
-@pytest.mark.parametrize("method", ["smooth", "sbr", "keyvector", "hybrid", "dexpilot"])
-def test_without_pull_changes_the_pull_only(method):
-    config: Any = method_config(method)
-    free: Any = without_pull(config)
-    assert free.objective.pose_weight == min(config.objective.pose_weight, 1e-4)
-    back = replace(
-        free, objective=replace(free.objective, pose_weight=config.objective.pose_weight)
-    )
-    assert back == config
-    assert without_pull(method_config("joint_angle")) == method_config("joint_angle")
 
 
 def test_the_default_method_is_judged_without_its_pull(monkeypatch):
@@ -464,8 +401,8 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch):
     assert check.verdict == "skipped"
     config: Any = method_config(DEFAULT_METHOD)
     assert config.objective.pose_weight > 0.01
-    assert given[0].objective.pose_weight == pytest.approx(1e-4)
-    assert given == [without_pull(config)]
+    free = replace(config, objective=replace(config.objective, pose_weight=1e-4))
+    assert given == [free]
 
 
 def test_the_command_prints_one_object(capfd):

@@ -150,16 +150,6 @@ def test_a_call_without_a_stamp_is_of_its_moment(motion):
     assert np.abs(hurried.joint_positions - stamped.joint_positions).max() > 0.01
 
 
-def test_a_bad_frame_takes_its_time_too(motion):
-    """A frame that the tracker lost, counted by the rate, is a gap of two periods in the stamps."""
-    landmarks = motion.landmarks[:12].copy()
-    landmarks[5] = np.nan
-    counting = Retargeter(method="smooth", rate=30.0)
-    counted = [counting(points).command.joint_positions for points in landmarks]
-    stamped, _ = Retargeter(method="smooth").run(recording(landmarks, rate=30.0))
-    np.testing.assert_array_equal(counted, stamped.joint_positions)
-
-
 def test_a_step_without_time_is_refused(motion):
     retargeter = Retargeter(method="smooth")
     for frame in (motion.landmarks[0], HandFrame(motion.landmarks[0])):
@@ -298,24 +288,6 @@ def test_after_a_gap_nothing_of_the_past_counts(leap):
     np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=0.02)
 
 
-@pytest.mark.parametrize("gap", [4294.967296, 2 * 4294.967296, 4294.9])
-def test_no_length_of_a_gap_counts_as_none(leap, gap):
-    """Ticks of 2^32 microseconds are equal; the frames between are refused, or there are none."""
-    flat, fist = POSES[0], POSES[30]
-    for between in ([], [gap / 2]):
-        state, stamps = leap.init(), [0.0, 0.01, *between, gap + 0.01]
-        poses = [flat, flat, *[np.full((21, 3), np.nan)] * len(between), fist]
-        for points, stamp in zip(poses, stamps, strict=True):
-            state, _ = leap.step(state, HandFrame(points, stamp))
-        fresh = leap.step(leap.init(), HandFrame(fist, 0.0))[0]
-        # an old answer would still be near the flat hand, 2 mm into its way
-        tips = [
-            leap.hand.tips(leap.hand.full_configuration(np.asarray(s.method.q, float)))
-            for s in (state, fresh)
-        ]
-        assert np.linalg.norm(tips[0] - tips[1], axis=-1).max() < 0.01
-
-
 def crossing(hand: Hand) -> HandRecording:
     """The index and middle tips change places, sideways: 60 frames."""
     q = np.tile(hand.neutral, (60, 1))
@@ -332,19 +304,3 @@ def test_the_self_collision_cost_keeps_fingers_out_of_each_other(smooth, bare, h
     deep, clear = (penetration_depths(hand, commands(r, frames)) for r in (bare, smooth))
     assert deep.max() > 0.004
     assert clear.max() < 0.0025
-
-
-def test_a_pinch_closes(smooth, hand):
-    """Thumb and index tips meet between where they are."""
-    landmarks = landmarks_of(hand, np.tile(hand.neutral, (80, 1)))
-    thumb, index = landmarks[0, TIPS[0]], landmarks[0, TIPS[1]]
-    middle = 0.5 * (thumb + index)
-    share = np.clip(np.linspace(0, 1.6, 80), 0, 1)[:, None]
-    gap = 0.004 * (index - thumb) / np.linalg.norm(index - thumb)
-    landmarks[:, TIPS[0]] = thumb + share * (middle - 0.5 * gap - thumb)
-    landmarks[:, TIPS[1]] = index + share * (middle + 0.5 * gap - index)
-    q = commands(smooth, recording(landmarks))
-    tips = hand.tips(q[-1])
-    assert np.linalg.norm(tips[0] - tips[1]) < 0.008
-    depth = penetration_depths(hand, q)
-    assert depth.max() < 0.0025

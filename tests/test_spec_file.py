@@ -187,9 +187,6 @@ def test_files_that_are_not_spec_files(tmp_path):
     (tmp_path / "large.toml").write_bytes(b"#" * 2_000_000)
     with pytest.raises(HandModelError, match="it has 2000000 bytes, more than 1000000"):
         read_hand_spec(tmp_path / "large.toml")
-    (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
-    with pytest.raises(HandModelError, match="not well-formed TOML"):
-        read_hand_spec(tmp_path / "deep.toml")
 
 
 def test_specs_that_cannot_be_written(tmp_path):
@@ -218,13 +215,6 @@ def test_a_users_hand_is_found_by_name(tmp_path, folder):
     # an edit counts at once
     save_hand(replace(pincer(tmp_path), neutral={"i1": 0.7}))
     assert load_hand("pincer").neutral[2] == 0.7
-
-
-def test_a_relative_model_is_found_from_the_users_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    spec = pincer(tmp_path)
-    save_hand(replace(spec, model=Path(spec.model.name)))
-    assert load_hand("pincer").spec.model == spec.model
 
 
 def test_a_spec_file_has_a_side(tmp_path):
@@ -352,14 +342,6 @@ def test_render_with_another_model(tmp_path):
     )
     with pytest.raises(HandModelError, match="lacks the joints"):
         run("render", "ability_hand", "--model", str(MODELS / "leap_hand_right.xml"))
-
-
-@pytest.mark.parametrize("arguments", [["list", "--help"], ["show", "--help"], ["--help"]])
-def test_help(arguments, capsys):
-    with pytest.raises(SystemExit) as stop:
-        run(*arguments)
-    assert stop.value.code == 0
-    assert "hand" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("name", "side"), [("schunk_svh", "left"), ("shadow_dexee", "right")])

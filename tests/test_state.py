@@ -46,11 +46,3 @@ def test_arrays_of_other_kinds_stay_as_they_are():
     assert same(state.trees, trees)
     assert same(state.method, trees.method)
     np.testing.assert_array_equal(state.trees.q, Q)
-
-
-def test_a_state_is_a_tree_of_one_array():
-    state = RetargetState.of(FrameState(TREE, Q))
-    assert len(jax.tree.leaves(state)) == 1
-    again = jax.tree.unflatten(*reversed(jax.tree.flatten(state)))
-    assert same(again.trees, state.trees)
-    assert jax.tree.structure(state) == jax.tree.structure(again)

@@ -184,25 +184,26 @@ def _gripper(
         Finding("palm", spec.palm, 1.0, ("it carries the jaw",), "--gripper JOINT"),
         Finding("thumb", "fixed jaw", 1.0, ("it has no joint",), "--gripper JOINT"),
         *(
-            Finding(
-                f"tip of {finger.name}",
-                _place(finger.tip),
-                jaws.confidence,
-                jaws.evidence,
-                f"--tip {finger.name}=BODY:x,y,z (metres)",
-            )
+            _tip_finding(finger.name, finger.tip, jaws.confidence, jaws.evidence)
             for finger in spec.fingers
         ),
         coupled_finding,
-        Finding(
-            "wrist",
-            _place(spec.wrist),
-            0.8 if overrules.wrist is None else 1.0,
-            ("behind the middle of the jaws" if overrules.wrist is None else "given",),
-            "--wrist BODY:x,y,z (metres)",
-        ),
+        _wrist_finding(spec.wrist, 0.8, ("behind the middle of the jaws",))
+        if overrules.wrist is None
+        else _wrist_finding(spec.wrist, 1.0, ("given",)),
     )
     return Discovery(spec, findings, found, coupled, (*notes, *coupling_notes(coupled)))
+
+
+def _tip_finding(
+    finger: str, point: Point, confidence: float, evidence: tuple[str, ...]
+) -> Finding:
+    option = f"--tip {finger}=BODY:x,y,z (metres)"
+    return Finding(f"tip of {finger}", _place(point), confidence, evidence, option)
+
+
+def _wrist_finding(wrist: Point, confidence: float, evidence: tuple[str, ...]) -> Finding:
+    return Finding("wrist", _place(wrist), confidence, evidence, "--wrist BODY:x,y,z (metres)")
 
 
 def _either_side() -> Finding:
@@ -332,17 +333,11 @@ def _described(
             f"--finger {names[-1]}=BODY ({overrule})",
         ),
         *(
-            Finding(
-                f"tip of {name}",
-                _place(tips[i].point),
-                tips[i].confidence,
-                tips[i].evidence,
-                f"--tip {name}=BODY:x,y,z (metres)",
-            )
+            _tip_finding(name, tips[i].point, tips[i].confidence, tips[i].evidence)
             for i, name in zip(order, names, strict=True)
         ),
         coupled_finding,
-        Finding("wrist", _place(wrist), wrist_sure, wrist_why, "--wrist BODY:x,y,z (metres)"),
+        _wrist_finding(wrist, wrist_sure, wrist_why),
         *wrist_joints_finding,
         bases_finding(moved_bases),
         Finding(

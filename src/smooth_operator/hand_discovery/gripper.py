@@ -35,21 +35,17 @@ class Jaws:
 
     Attributes:
         palm: body that carries both.
-        chain: joints and links of the moving jaw.
         fingers: ``thumb``, the fixed jaw, and ``index``, the moving one.
         wrist: a point behind both.
         neutral: joint -> position in which the gripper is partly open [rad or m].
-        opening: (2,) distance of the pads, closed and open [m].
         confidence: confidence of the pads, 0 to 1.
         evidence: reasons for the pads.
     """
 
     palm: int
-    chain: Chain
     fingers: tuple[FingerSpec, FingerSpec]
     wrist: Point
     neutral: dict[str, float]
-    opening: tuple[float, float]
     confidence: float
     evidence: tuple[str, ...]
 
@@ -174,11 +170,9 @@ def find_jaws(skeleton: Skeleton, chain: Chain, overrules: Overrules) -> Jaws:
     neutral = sweep[k] + _NEUTRAL * (sweep[-1] - sweep[k])
     return Jaws(
         chain.palm,
-        chain,
         fingers,
         wrist,
         {skeleton.joint_names[joint]: round(float(neutral), 4)},
-        widths,
         1.0 if given else 0.85 if gaps[k] < _MEETS * reach else 0.6,
         (why,),
     )

@@ -247,8 +247,6 @@ class RoundTrip:
     Attributes:
         tip_error_mm: (poses, F) distance of each fingertip from its position in the pose [mm],
             thumb first.
-        q_true: (poses, n) positions of all joints in the poses [rad].
-        q_found: (poses, n) positions of all joints in the results [rad].
         ok: fraction of frames with the status OK.
         limit_violations: number of frames in which a joint was outside its limits.
         frozen: fraction of the frames with a moving human in which no joint moved; None if the
@@ -256,8 +254,6 @@ class RoundTrip:
     """
 
     tip_error_mm: Float[np.ndarray, "poses F"]
-    q_true: Float[np.ndarray, "poses n"]
-    q_found: Float[np.ndarray, "poses n"]
     ok: float
     limit_violations: int
     frozen: float | None
@@ -307,7 +303,8 @@ def round_trip(
     share = np.append(np.linspace(0, 1, _APPROACH), np.ones(_HOLD))[:, None]
     commands, frozen, good, outside = [], [], 0, 0
     for k in range(poses) if track is None else track(range(poses)):
-        landmarks = human_landmarks(hand, hand.neutral + share * (targets[k] - hand.neutral))
+        way = hand.neutral + share * (targets[k] - hand.neutral)
+        landmarks = human_landmarks(hand, way)
         state, positions = retargeter.init(), []
         for i, points in enumerate(landmarks):
             frame = HandFrame(points, i * _PERIOD_S, hand.spec.side)
@@ -317,17 +314,13 @@ def round_trip(
         run = np.array(positions)
         low, high = hand.joint_limits.T
         outside += int(((run < low - _ROUNDING) | (run > high + _ROUNDING)).any(axis=1).sum())
-        reaches = hand.tips(
-            hand.full_configuration(hand.neutral + share * (targets[k] - hand.neutral))
-        )
+        reaches = hand.tips(hand.full_configuration(way))
         if (still := frozen_share(reaches - hand.wrist, run)) is not None:
             frozen.append(still)
         commands.append(run[-1])
-    true, answers = hand.full_configuration(targets), np.array(commands)
+    missed = hand.tips(np.array(commands)) - hand.tips(hand.full_configuration(targets))
     return RoundTrip(
-        tip_error_mm=np.linalg.norm(hand.tips(answers) - hand.tips(true), axis=-1) * 1e3,
-        q_true=true,
-        q_found=answers,
+        tip_error_mm=np.linalg.norm(missed, axis=-1) * 1e3,
         ok=good / (poses * len(share)),
         limit_violations=outside,
         frozen=float(np.mean(frozen)) if frozen else None,

@@ -36,7 +36,6 @@ class Bending:
         along: (3,) unit vector from base to tip of the straight finger.
         clear: certainty of the closing direction, 0 to 1.
         straight: (n,) positions of all joints in which this finger is straight.
-        reason: basis of the closing direction, as a text.
     """
 
     joints: tuple[int, ...]
@@ -45,7 +44,6 @@ class Bending:
     along: Float[np.ndarray, "3"]
     clear: float
     straight: Float[np.ndarray, " n"]
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +144,6 @@ def _bending(
     plus, minus = folded(1), folded(-1)
     clear = abs(plus - minus) / max(plus, minus, 1e-9)
     sense = 1 if plus < minus else -1
-    reason = "bending this way brings the tip nearer to the base"
     if len(joints) == 1 or clear < 0.02:
         # A single hinge closes in the direction with more range that moves the tip to the others.
         ends, here = skeleton.limits[joints], skeleton.reference[joints][:, None]
@@ -161,10 +158,6 @@ def _bending(
         score = (room if np.isfinite(room) else 0.0) + 0.6 * toward
         sense = 1 if score >= 0 else -1
         clear = min(0.3, 0.3 * abs(score))
-        reason = (
-            "a single hinge: judged by its limits and by the direction that moves the tip to the "
-            "others"
-        )
     straight = _straightened(skeleton, chain, joints, local)
     at = skeleton.place(straight)
     axis = sense * at.axes[hinges[-1]]
@@ -173,7 +166,7 @@ def _bending(
     norm = float(np.linalg.norm(reach))
     direction = reach / norm if norm > 1e-9 else _any_across(axis)
     senses = tuple(sense * sign for sign in along)
-    return Bending(tuple(joints), senses, axis, direction, min(clear, 1.0), straight, reason)
+    return Bending(tuple(joints), senses, axis, direction, min(clear, 1.0), straight)
 
 
 def _straightened(
@@ -209,7 +202,7 @@ def _sliding(
     norm = float(np.linalg.norm(along))
     along = along / norm if norm > 1e-4 else _any_across(closing)
     axis = np.cross(along, closing)  # a hinge with this axis would move the tip alike
-    return Bending((), (), axis, along, 0.3, skeleton.reference, "slides towards the others")
+    return Bending((), (), axis, along, 0.3, skeleton.reference)
 
 
 def _any_across(axis: np.ndarray) -> np.ndarray:
@@ -354,7 +347,6 @@ class Layout:
         forward: direction from wrist to fingers.
         lateral: axis of the right-handed rotation that closes the fingers; it points to the thumb
             of a right hand.
-        palmar: direction out of the palm, at right angles to ``forward`` and ``lateral``.
         sided: True if base and reach of the thumb are clearly on one side of the palm.
         side: right or left.
         side_confidence: confidence of the side, 0 to 1.
@@ -368,7 +360,6 @@ class Layout:
 
     forward: Float[np.ndarray, "3"]
     lateral: Float[np.ndarray, "3"]
-    palmar: Float[np.ndarray, "3"]
     sided: bool
     side: Side
     side_confidence: float
@@ -406,7 +397,6 @@ def find_layout(
     lateral = _unit(np.mean([bends[i].axis for i in others], axis=0), bends[others[0]].axis)
     forward = np.mean([bends[i].along for i in others], axis=0)
     forward = _unit(forward - (forward @ lateral) * lateral, bends[others[0]].along)
-    palmar = np.cross(lateral, forward)
 
     bases = np.array([chain.base for chain in chains])
     middle = reach.tips.mean(axis=0)
@@ -481,7 +471,6 @@ def find_layout(
     return Layout(
         forward=forward,
         lateral=lateral,
-        palmar=palmar,
         sided=sided,
         side=side,
         side_confidence=round(confidence, 2),

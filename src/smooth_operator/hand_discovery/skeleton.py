@@ -35,7 +35,6 @@ _FINGER_WORDS: Final[dict[str, tuple[str, ...]]] = {
 }
 _FULL_TURN: Final = 2 * np.pi - 0.01  # least range of a joint that nothing drives [rad]
 _PARTS: Final = "(j|a|tip|base|hub|knuckle|proximal|middle|medial|distal|metacarpal)"
-_WRIST_WORDS: Final = ("wrist",)
 _SIDE_WORDS: Final[dict[Side, tuple[str, ...]]] = {
     "right": ("right", "rh"),
     "left": ("left", "lh"),
@@ -55,7 +54,7 @@ def says_tip(name: str) -> bool:
 
 def says_wrist(name: str) -> bool:
     """True if a name denotes the wrist."""
-    return any(word in _WRIST_WORDS for word in words(name))
+    return "wrist" in words(name)
 
 
 def fingers_said(chains: Sequence[Iterable[str]]) -> list[str | None]:
@@ -350,7 +349,9 @@ def read_skeleton(
         if root.tag == "robot":
             points, missing = urdf_mesh_points(root, read_model_files(path).assets)
         for name, shapes in points.items():
-            clouds.setdefault(_body(model, name), []).extend(shapes)
+            body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+            # MuJoCo makes a root link that is called world the world itself
+            clouds.setdefault(max(int(body), 0), []).extend(shapes)
         if missing:
             remedy = (
                 "run 'git lfs pull' in the clone of the model"
@@ -378,10 +379,8 @@ def read_skeleton(
             "in its order (body_1, joint_1, ...). Name the joints in the file, so that drivers can "
             "match commands and motors"
         )
-    loops = sum(
-        int(kind) in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-        for kind in model.eq_type
-    )
+    bars = [int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)]
+    loops = int(np.isin(model.eq_type, bars).sum())
     if loops:
         notes.append(
             f"{loops} closed loops (equality connect or weld) are ignored: fingers driven by "
@@ -448,12 +447,6 @@ def _check_limits(root: ElementTree.Element, path: Path) -> dict[str, float]:
         if low == high and joint.get("type") not in ("continuous", "fixed"):
             pinned[joint.get("name", "")] = low
     return pinned
-
-
-def _body(model: mujoco.MjModel, name: str) -> int:
-    """Body of a URDF link; MuJoCo makes a root link called world the world itself."""
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    return max(int(body), 0)
 
 
 _RINGS: Final = 13  # number of points along a cylinder or the edge of a box
