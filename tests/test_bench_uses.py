@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from smooth_operator.benchmark import ranking
 from smooth_operator.benchmark.cells import Settings
@@ -21,7 +23,7 @@ from smooth_operator.benchmark.ranking import (
 )
 from smooth_operator.benchmark.suite import Row
 from smooth_operator.metrics import METRICS
-from smooth_operator.reporting.drawing import colors_of, styled, write_figure
+from smooth_operator.reporting.drawing import colors_of, name_points, series, styled, write_figure
 
 METRIC = {metric.name: metric for metric in METRICS}
 COLUMN_NAMES = [metric.name for metric in COLUMNS]
@@ -179,12 +181,27 @@ def test_the_latency_in_the_plot_is_that_of_the_table():
     assert words == ["2"]  # the mean of the recordings' medians, not the pooled 3
 
 
+def test_names_of_points_cover_nothing():
+    drawing = Figure(figsize=(4, 3), dpi=100)
+    ax = drawing.subplots()
+    points = {f"method {i}": (0.9 + 0.01 * (i % 3), 0.5 + 0.002 * i) for i in range(8)}
+    ax.set_xlim(0, 1)
+    ax.set_ylim(0, 1)
+    drawing.draw_without_rendering()
+    name_points(ax, points, size=7.5)
+    drawing.draw_without_rendering()
+    boxes = [Text.get_window_extent(text) for text in ax.texts]  # without the lines to points
+    assert len(boxes) == len(points)
+    places = np.asarray(ax.transData.transform(list(points.values())))
+    for i, box in enumerate(boxes):
+        assert ax.bbox.x0 <= box.x0
+        assert box.x1 <= ax.bbox.x1
+        assert not any(box.overlaps(other) for other in boxes[:i])
+        assert not any(box.contains(x, y) for x, y in places)
+
+
 @pytest.mark.browser
 def test_tables_sort_and_plots_answer_to_the_pointer(chromium, tmp_path):
-    from matplotlib.figure import Figure
-
-    from smooth_operator.reporting.drawing import series
-
     names = [one.method for one in LINES]
     with styled():
         figure = Figure()
