@@ -117,7 +117,7 @@ def test_a_command_that_is_not_finite_repeats_the_last_one(retargeter, motion, p
     ticks = stage.play(frames[60:])
     every = [(t.command.joint_positions, t.velocity, t.wrist.pose) for t in stage.ticks]
     assert all(np.isfinite(value).all() for tick in every for value in tick)
-    assert [NOT_FINITE in tick.events for tick in ticks] == [True, *[False] * 19]
+    assert [k for k, tick in enumerate(stage.ticks) if NOT_FINITE in tick.events] == [60]
     for index in (0, 2):
         np.testing.assert_array_equal(every[60][index], every[59][index])
     assert np.ptp([tick.command.joint_positions for tick in ticks[1:]], axis=0).max() > 0.01

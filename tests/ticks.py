@@ -11,7 +11,6 @@ from made_hands import hand_points
 
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
@@ -104,10 +103,10 @@ class KeptTicks(Sink):
         self.closed += 1
 
 
-def record(
-    path: Path, hand: Hand, ticks: Iterable[Tick], config: Mapping[str, Any] = {}
-) -> RecordSink:
-    """Writes the log of a hand's ticks."""
+def record(path: Path, hand: Hand, ticks: Iterable[Tick], config: Mapping[str, Any] = {}) -> Any:
+    """Writes the log of a hand's ticks; returns its sink."""
+    from smooth_operator.teleop.sinks.record import RecordSink
+
     sink = RecordSink(path)
     sink.open({hand.spec.side: hand}, config)
     for tick in ticks:
