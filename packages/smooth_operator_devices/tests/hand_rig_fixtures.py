@@ -1,9 +1,10 @@
 """Fixtures with simulated hands; a test file takes them by ``pytest_plugins``."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 
 import pytest
-from hand_rigs import Rig, rigs_of
+from hand_rigs import LINKER_HANDS, RIGS, Rig, missing
 
 from smooth_operator_devices.hands import bus_lock
 
@@ -15,7 +16,16 @@ def rigs(tmp_path, monkeypatch) -> Iterator[Callable[..., Rig]]:
     # Locks of buses are files there. A pty that another run of the tests has lost, and still has
     # locked, gives its name to the next one.
     monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
-    with rigs_of(tmp_path, monkeypatch) as make:
+    with contextlib.ExitStack() as stack:
+
+        def make(name: str, side: str = "right", patience: float = 3.0) -> Rig:
+            if why := missing(name):
+                pytest.skip(why)
+            rig = (RIGS | LINKER_HANDS)[name](tmp_path, monkeypatch, side)
+            stack.callback(rig.close)
+            rig.patience(patience)  # the machine may be busy
+            return rig
+
         yield make
 
 

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -694,24 +694,8 @@ LINKER_HANDS: Final = {
 
 def missing(name: str) -> str:
     """Why a rig can't be used here; empty if it can."""
-    kind = (RIGS | LINKER_HANDS)[name]
+    kind = RIGS.get(name) or LINKER_HANDS[name]
     if kind.library and importlib.util.find_spec(kind.library) is None:
         return f"needs {kind.library}"
     on_a_pty = issubclass(kind, OnALine | Leap)
     return "needs a pty" if on_a_pty and sys.platform == "win32" else ""
-
-
-@contextlib.contextmanager
-def rigs_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Any]]:
-    """A function that makes a rig by its name, and skips the test if it can't be used here."""
-    with contextlib.ExitStack() as stack:
-
-        def make(name: str, side: str = "right", patience: float = 3.0) -> Rig:
-            if why := missing(name):
-                pytest.skip(why)
-            rig = (RIGS | LINKER_HANDS)[name](folder, monkeypatch, side)
-            stack.callback(rig.close)
-            rig.patience(patience)  # the machine may be busy
-            return rig
-
-        yield make

@@ -78,18 +78,11 @@ class HandCommand_t:
     def finger_command(self) -> list[FingerCommand_t]:
         return list(self._commands)
 
-    @finger_command.setter
-    def finger_command(self, value: list[FingerCommand_t]) -> None:
-        if len(value) != 12 or not all(isinstance(one, FingerCommand_t) for one in value):
-            raise TypeError("incompatible function arguments: 12 FingerCommand_t")
-        self._commands = list(value)
-
 
 class FingerState_t:
     def __init__(self) -> None:
         self.id = self.sensor_id = self.torque = self.raw_position = self.temperature = 0
         self.commboard_err = self.jonitboard_err = self.tipboard_err = 0
-        self.default5 = self.default6 = self.default7 = 0
         self.position = 0.0
 
 
@@ -102,8 +95,6 @@ class SenserData_t:
     def __init__(self) -> None:
         self.calc_force = PXSR_ForceData()
         self.raw_force = [PXSR_ForceData() for _ in range(120)]
-        self.temperature = [25] * 20
-        self.calc_temperature = 25
 
 
 class HandState_t:
@@ -139,8 +130,6 @@ class XHand:
         clock: Clock = time.monotonic,
     ) -> None:
         self.side, self.port, self.identifier = side, port, identifier
-        self.serial_number = f"XH{side[0].upper()}0000000000001"
-        self.name = "xhand"
         self.occupied = False
         self.faults = Faults("error")
         self.motors = Motors(np.zeros(12), 4.0, clock=clock)
@@ -191,10 +180,6 @@ def xhand_modules(*hands: XHand) -> dict[str, types.ModuleType]:
     class XHandControl:
         def __init__(self) -> None:
             self._open: list[XHand] | None = None
-
-        def enumerate_devices(self, comm_type: str) -> list[str]:
-            ports = list(dict.fromkeys(hand.port for hand in hands))
-            return ports if comm_type in ("RS485", "serial") else []
 
         def open_serial(self, port: str, baudrate: int) -> ErrorStruct:
             found = [hand for hand in hands if hand.port == port and not hand.occupied]
