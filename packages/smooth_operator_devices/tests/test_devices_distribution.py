@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from smooth_operator.cli.options import COMMANDS
-from smooth_operator.teleop.components import SINKS, SOURCES
+from smooth_operator.errors import ConfigError, MissingExtraError
+from smooth_operator.teleop.components import SINKS, SOURCES, build_source
 from smooth_operator_devices import HardwareSink
 
 HOME = Path(__file__).resolve().parents[1]
@@ -77,3 +78,20 @@ def test_libraries_of_every_module_are_declared():
                 names = [node.module or ""]
             tops = {name.split(".")[0] for name in names}
             assert {MODULES.get(top, top) for top in tops} <= known, path
+
+
+@pytest.mark.parametrize(
+    ("name", "module"), [("rokoko", "lz4.frame"), ("openxr", "xr"), ("isaac", "isaacteleop")]
+)
+def test_a_source_without_its_library_names_the_extra(monkeypatch, name, module):
+    for loaded in [each for each in sys.modules if each.startswith(f"{module}.")]:
+        monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=f"'{name}' needs the extra '{name}'"):
+        build_source(name).connect()
+
+
+@pytest.mark.parametrize("name", ["openxr", "isaac"])
+def test_the_rate_of_a_source_that_asks_a_library_is_checked(name):
+    with pytest.raises(ConfigError, match="rate must be 1 to 1000 Hz, not 0"):
+        build_source(f"{name}:rate=0")

@@ -1,7 +1,6 @@
 """The source ``openxr`` with the real loader and a runtime in C, written from the specification."""
 
 import ctypes
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,7 +11,7 @@ from live_time import until
 from openxr_runtime import HANDS, NEEDS_COMPILER, POSES, check_frame, joints, loaded
 from tracker_session import started
 
-from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
+from smooth_operator.errors import SourceError
 from smooth_operator.poses import separation
 from smooth_operator_devices.trackers.openxr import OpenXrSource
 
@@ -166,14 +165,3 @@ def test_without_a_runtime_the_error_says_what_to_start(monkeypatch, tmp_path):
     monkeypatch.setenv("XR_LOADER_DEBUG", "none")
     with pytest.raises(SourceError, match=r"no OpenXR runtime is active.*start SteamVR, Monado"):
         OpenXrSource().connect()
-
-
-def test_a_missing_library_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "xr", None)
-    with pytest.raises(MissingExtraError, match="'openxr' needs the extra 'openxr'"):
-        OpenXrSource().connect()
-
-
-def test_the_rate_is_checked():
-    with pytest.raises(ConfigError, match="rate must be 1 to 1000 Hz, not 0"):
-        OpenXrSource(0.0)

@@ -10,7 +10,7 @@ import pytest
 from live_time import until
 from tracker_session import sender, started
 
-from smooth_operator.errors import MissingExtraError, RecordingError
+from smooth_operator.errors import RecordingError
 from smooth_operator.io.landmark_order import chirality
 from smooth_operator.poses import rotate, wrist_from_landmarks
 from smooth_operator.synthetic import SyntheticOperator
@@ -204,9 +204,3 @@ def test_damaged_bytes_raise_only_errors_of_this_program():
     for mutants in (fuzzing.damaged_bytes(packet()), fuzzing.damaged_json(packet(packed=False))):
         refused, _ = fuzzing.outcomes(mutants, 100, lambda data: read_scene(data, "", 0.0))
         assert len(refused) > 10
-
-
-def test_a_missing_library_is_named_before_the_start(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "lz4.frame", None)
-    with pytest.raises(MissingExtraError, match="'rokoko' needs the extra 'rokoko'"):
-        RokokoStream(port=0).connect()
