@@ -128,7 +128,7 @@ def test_it_goes_where_it_is_told_and_reads_it_back(rig):
     assert rig.outside() == 0
 
 
-@WITH_EACH
+@ON_EACH_BUS
 def test_a_stop_holds_the_hand_on_its_way(rig):
     with Driven(rig) as driven:
         start = rig.positions()
@@ -151,7 +151,7 @@ def test_a_stop_holds_the_hand_on_its_way(rig):
     assert rig.outside() == 0
 
 
-@WITH_EACH
+@ON_EACH_BUS
 def test_relaxing_is_taken_by_every_hand(rig):
     device = rig.open()
     device.write(device.read().positions)

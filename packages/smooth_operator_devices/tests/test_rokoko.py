@@ -202,5 +202,5 @@ def test_a_damaged_message_says_what_is_wrong(data, words):
 
 def test_damaged_bytes_raise_only_errors_of_this_program():
     for mutants in (fuzzing.damaged_bytes(packet()), fuzzing.damaged_json(packet(packed=False))):
-        refused, _ = fuzzing.outcomes(mutants, 100, lambda data: read_scene(data, "", 0.0))
+        refused, _ = fuzzing.outcomes(mutants, 50, lambda data: read_scene(data, "", 0.0))
         assert len(refused) > 10
