@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import dataset_files as files
+import h5py
+import hostile_datasets
 import numpy as np
 import pytest
 
@@ -52,7 +54,6 @@ def check_world(found: Clip, points: float, world: str | None = None) -> None:
 
 
 def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path):
-    pytest.importorskip("h5py", reason="needs the extra hdf5")
     path = tmp_path / "7.hdf5"
     about: dict[str, Any] = {"llm_type": "reversible", "llm_description": "put it in"}
     about |= {"llm_description2": "take it out", "environment": "a desk", "llm_objects": ["cup"]}
@@ -90,13 +91,11 @@ def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path):
     ],
 )
 def test_the_task_of_egodex(tmp_path, about, task):
-    pytest.importorskip("h5py", reason="needs the extra hdf5")
     files.egodex_file(tmp_path / "0.hdf5", about=about)
     assert clip_of(tmp_path / "0.hdf5").task == task
 
 
 def test_a_hand_that_never_appears_is_left_out(tmp_path):
-    pytest.importorskip("h5py", reason="needs the extra hdf5")
     files.egodex_file(tmp_path / "0.hdf5", confidence={"right": 0.0, "left": 0.8})
     found = clip_of(tmp_path / "0.hdf5")
     assert list(found.hands) == list(found.confidence) == ["left"]
@@ -109,7 +108,6 @@ def test_a_hand_that_never_appears_is_left_out(tmp_path):
 
 
 def test_different_files_of_egodex_are_refused(tmp_path):
-    h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
     path = tmp_path / "0.hdf5"
     files.egodex_file(path, left_out=["leftRingFingerTip"])
     with pytest.raises(RecordingError, match=r"transforms/leftRingFingerTip .* has nothing"):
@@ -124,7 +122,6 @@ def test_different_files_of_egodex_are_refused(tmp_path):
 
 @pytest.mark.parametrize("version", ["earliest", "latest"])
 def test_egodex_is_distinguished_from_other_hdf5(tmp_path, version):
-    h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
     reader = READERS.load("egodex")
     for name, found in (("transforms/rightHand", True), ("hand/landmarks", False)):
         path = tmp_path / f"{found}.hdf5"
@@ -137,7 +134,6 @@ def test_egodex_is_distinguished_from_other_hdf5(tmp_path, version):
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_one_hand_of_egodex_is_a_recording(tmp_path, side):
-    pytest.importorskip("h5py", reason="needs the extra hdf5")
     files.egodex_file(tmp_path / "0.hdf5")
     read = read_recording(tmp_path / "0.hdf5", rate=30, side=side)
     sent = files.hand(side)
@@ -282,7 +278,6 @@ def check_camera(found: Clip, gone: dict[str, list[int]], tolerance: float) -> N
 
 @pytest.mark.parametrize("empty_rows", [False, True])
 def test_egohandkit(tmp_path, empty_rows):
-    pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     path = tmp_path / "kitchen_left" / "final" / "hand_tracking.parquet"
     path.parent.mkdir(parents=True)
     files.egohandkit_file(path, empty_rows=empty_rows)
@@ -296,7 +291,6 @@ def test_egohandkit(tmp_path, empty_rows):
 
 
 def test_egohandkit_without_times_needs_a_rate(tmp_path):
-    pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     path = tmp_path / "hand_tracking.parquet"
     files.egohandkit_file(path, stamped=False)
     np.testing.assert_allclose(clip_of(path).stamps, np.arange(COUNT) / 30.0)
@@ -307,30 +301,25 @@ def test_egohandkit_without_times_needs_a_rate(tmp_path):
         clip_of(path)
 
 
-Write = Callable[[Path, bool], None]
-
-SWAPPED: dict[str, tuple[str, Write]] = {
-    "egodex": ("0.hdf5", lambda path, other: files.egodex_file(path, exchanged=other)),
-    "avp": ("t.jsonl", lambda path, other: files.avp_file(path, exchanged=other)),
-    "hts": ("t.hts", lambda path, other: files.hts_file(path, exchanged=other)),
-    "landmarks": ("a.npz", lambda path, other: files.landmarks_file(path, exchanged=other)),
-    "egohandkit": ("a.parquet", lambda path, other: files.egohandkit_file(path, exchanged=other)),
+SWAPPED: dict[str, tuple[str, Callable[..., None]]] = {
+    "egodex": ("0.hdf5", files.egodex_file),
+    "avp": ("t.jsonl", files.avp_file),
+    "hts": ("t.hts", files.hts_file),
+    "landmarks": ("a.npz", files.landmarks_file),
+    "egohandkit": ("a.parquet", files.egohandkit_file),
 }
 
 
 @pytest.mark.parametrize("layout", SWAPPED)
 def test_exchanged_hands_are_refused(tmp_path, layout):
-    for library, needs in (("h5py", "egodex"), ("pyarrow", "egohandkit")):
-        if layout == needs:
-            pytest.importorskip(library, reason="needs an extra")
     name, write = SWAPPED[layout]
-    write(tmp_path / name, False)
+    write(tmp_path / name)
     found = clip_of(tmp_path / name)
     assert found.layout == layout
     for side, recording in found.hands.items():
         wrong, whole = files.wrong_frames(recording.landmarks, recording.valid, side)
         assert (wrong, whole > 20) == (0, True)
-    write(tmp_path / name, True)
+    write(tmp_path / name, exchanged=True)
     with pytest.raises(
         RecordingError, match="right hand: judging by its shape, this is a left hand"
     ):
@@ -376,9 +365,5 @@ def test_all_layouts_of_the_research_data_sets_are_listed():
 @pytest.mark.parametrize("tries", [6, pytest.param(24, marks=pytest.mark.weekly)])
 @pytest.mark.parametrize("layout", SWAPPED)
 def test_damaged_files_are_read_soundly_or_refused(tmp_path, layout, tries):
-    for library in ("h5py", "pyarrow"):
-        pytest.importorskip(library, reason="needs extras")
-    import hostile_datasets
-
-    files = hostile_datasets.seeds(tmp_path)[layout]
-    assert hostile_datasets.outcomes(layout, files, tmp_path / "mutant", tries)
+    seeds = hostile_datasets.seeds(tmp_path)[layout]
+    assert hostile_datasets.outcomes(layout, seeds, tmp_path / "mutant", tries)

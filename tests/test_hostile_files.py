@@ -27,7 +27,6 @@ from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.io.documents import json_object, parse_json, read_text
 from smooth_operator.io.entries import parse_toml
-from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.convert import read_episode, write_episode
 
@@ -53,16 +52,6 @@ def test_json_object_of_other_values_is_none():
     for text in ("[1]", "{", '{"a":' * 2000 + "1" + "}" * 2000, b"\xff", "1"):
         assert json_object(text) is None
     assert json_object('{"do": "status"}') == json_object(b'{"do": "status"}') == {"do": "status"}
-
-
-def test_no_message_holds_what_breaks_an_answer():
-    for text in (f'{{"do": "\\ud800{i}"}}' for i in range(2)):
-        assert json.loads(text)["do"]  # the parser of the standard library takes half a character
-        assert _read(text.encode()) is None
-    assert _read(b'{"do": 1}') is None
-    assert _read(b'{"to": "x"}') is None
-    assert _read(b" status ") == ("status", {"do": "status"})
-    assert _read(b'{"do": "rate", "to": 5}') == ("rate", {"do": "rate", "to": 5})
 
 
 @limited

@@ -162,8 +162,6 @@ def test_different_files_are_refused(tmp_path, value, said):
 
 
 def test_damaged_files_are_read_soundly_or_refused(tmp_path):
-    for library in ("h5py", "pyarrow"):
-        pytest.importorskip(library, reason="needs extras")
     files = hostile_datasets.seeds(tmp_path)["predictions"]
     found = hostile_datasets.outcomes("predictions", files, tmp_path / "mutant", 3)
     assert found == {"read", "refused"}
