@@ -4,7 +4,6 @@ import io
 import os
 import pickle
 import struct
-import subprocess
 import sys
 from collections import OrderedDict
 from pathlib import Path
@@ -243,24 +242,13 @@ def test_messages_name_the_refused_class(tmp_path):
         assert caught
 
 
-def test_the_reader_imports_nothing_that_a_file_names(tmp_path):
+def test_the_reader_imports_nothing_that_a_file_names(tmp_path, monkeypatch):
     (tmp_path / "trap.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n")
-    (tmp_path / "a.pkl").write_bytes(b"ctrap\nx\n.")
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from pathlib import Path\n"
-        "from smooth_hand_datasets.unpickle import load_restricted\n"
-        "before = set(sys.modules)\n"
-        "try:\n    load_restricted(Path(sys.argv[1]) / 'a.pkl')\n"
-        "except Exception as error:\n    print(type(error).__name__, error)\n"
-        "print(sorted(set(sys.modules) - before))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
-    )
-    assert "RecordingError" in done.stdout
-    assert "'trap.x', which is not data" in done.stdout
-    assert done.stdout.strip().endswith("[]")
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+    with pytest.raises(RecordingError, match=r"'trap\.x', which is not data"):
+        load(tmp_path, b"ctrap\nx\n.")
+    assert set(sys.modules) == before
     assert not (tmp_path / "ran").exists()
 
 
