@@ -474,7 +474,7 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     value = episode(side="left")
     root = write(tmp_path, value, "lerobot")
     file = root / "meta/episodes/chunk-000/file-000.parquet"
-    pq.write_table(pq.read_table(file).drop_columns(["smooth_operator"]), file)
+    rewritten(lambda t: t.drop_columns(["smooth_operator"]))(file)
     data = root / "data/chunk-000/file-000.parquet"
     table = pq.read_table(data)
     # Lists of any length and null for NaN, as pandas writes them.
@@ -500,7 +500,7 @@ def test_a_dataset_of_another_tool_is_checked(tmp_path):
         root = tmp_path / name
         write_dataset(root, [lambda: value])
         file = root / "meta/episodes/chunk-000/file-000.parquet"
-        rewrite(file, lambda t: t.drop_columns(["smooth_operator"]))
+        rewritten(lambda t: t.drop_columns(["smooth_operator"]))(file)
         return read_episode(root, **asked).recording
 
     np.testing.assert_array_equal(read(landmarks, "right", "fine").landmarks, landmarks)
@@ -859,23 +859,26 @@ def test_hdf5_of_another_program_or_time(tmp_path):
         read_episode(path)
 
 
-def edit(path: Path, **changes: Any) -> None:
-    info = json.loads(path.read_text())
-    path.write_text(json.dumps({**info, **changes}))
+Change = Callable[[Path], object]
 
 
-def rewrite(path: Path, change: Callable[[pa.Table], pa.Table]) -> None:
-    pq.write_table(change(pq.read_table(path)), path)
+def info_with(**changes: Any) -> Change:
+    return lambda path: path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
-def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
-    return table.set_column(table.column_names.index(name), name, values)
+def rewritten(change: Callable[[pa.Table], pa.Table]) -> Change:
+    return lambda path: pq.write_table(change(pq.read_table(path)), path)
+
+
+def with_column(name: str, make: Callable[[pa.Table], Any]) -> Change:
+    return rewritten(lambda t: t.set_column(t.column_names.index(name), name, make(t)))
 
 
 def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-50])
 
 
+INFO = "meta/info.json"
 DATA = "data/chunk-000/file-000.parquet"
 ROWS = "meta/episodes/chunk-000/file-000.parquet"
 
@@ -883,34 +886,30 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
 @pytest.mark.parametrize(
     ("name", "change", "match"),
     [
-        ("meta/info.json", lambda p: p.write_text("{"), "can't be read as the description"),
-        ("meta/info.json", lambda p: p.write_text("[]"), "can't be read as the description"),
-        (
-            "meta/info.json",
-            lambda p: edit(p, codebase_version="v2.1"),
-            "v2.1, but only v3.0",
-        ),
-        ("meta/info.json", lambda p: edit(p, features={}), "with no columns: it contains no human"),
-        ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "outside the dataset"),
-        ("meta/info.json", lambda p: edit(p, data_path="{x}"), "do not say where episode 0 is"),
-        (DATA, lambda p: p.unlink(), "no such file; the dataset is incomplete"),
+        (INFO, lambda p: p.write_text("{"), "can't be read as the description"),
+        (INFO, lambda p: p.write_text("[]"), "can't be read as the description"),
+        (INFO, info_with(codebase_version="v2.1"), "v2.1, but only v3.0"),
+        (INFO, info_with(features={}), "with no columns: it contains no human"),
+        (INFO, info_with(data_path="../{chunk_index}"), "outside the dataset"),
+        (INFO, info_with(data_path="{x}"), "do not say where episode 0 is"),
+        (DATA, Path.unlink, "no such file; the dataset is incomplete"),
         (DATA, truncate, "damaged or cut off"),
         (ROWS, truncate, "damaged or cut off"),
-        (ROWS, lambda p: p.unlink(), "meta/episodes holds no episodes"),
-        (DATA, lambda p: rewrite(p, lambda t: t.slice(5)), "holds 35 frames of episode 0"),
+        (ROWS, Path.unlink, "meta/episodes holds no episodes"),
+        (DATA, rewritten(lambda t: t.slice(5)), "holds 35 frames of episode 0"),
         (
             DATA,
-            lambda p: rewrite(p, lambda t: t.drop_columns(["right_landmarks_valid"])),
+            rewritten(lambda t: t.drop_columns(["right_landmarks_valid"])),
             "lacks the column 'right_landmarks_valid'",
         ),
         (
             DATA,
-            lambda p: rewrite(p, lambda t: with_column(t, "right_landmarks", t["stamp"])),
+            with_column("right_landmarks", lambda t: t["stamp"]),
             "the column 'right_landmarks' must hold 63 numbers per row, not double",
         ),
         (
             DATA,
-            lambda p: rewrite(p, lambda t: with_column(t, "status", pa.array([9] * t.num_rows))),
+            with_column("status", lambda t: pa.array([9] * t.num_rows)),
             r"status \[9\] is not one of",
         ),
     ],
