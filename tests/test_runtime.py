@@ -158,29 +158,33 @@ def test_no_frame_of_a_real_hand_is_implausible(shared):
     assert not [why for frame in recording[::7] if (why := implausible(frame))]
 
 
+@pytest.fixture(scope="module")
+def whole(retargeter, motion) -> np.ndarray:
+    """Commands while the tracker sees every fingertip."""
+    stage = Stage(retargeter)
+    stage.play(motion[:320])
+    return stage.q
+
+
 @pytest.mark.parametrize("tip", TIPS)
-def test_a_missing_fingertip_does_not_hold_the_hand(hand, retargeter, motion, tip):
+def test_a_missing_fingertip_does_not_hold_the_hand(stage, motion, whole, hand, tip):
     """The other fingers go on as they would, and its own follows its other joints."""
     finger = FINGERS[TIPS.index(tip)]
-    stages = Stage(retargeter), Stage(retargeter)
     lost = range(100, 250)
     for k, frame in enumerate(motion[:320]):
         landmarks = frame.landmarks.copy()
         if k in lost:
             landmarks[tip] = np.nan
-        stages[0].play([frame])
-        stages[1].play([replace(frame, landmarks=landmarks, valid=None)])
-    ticks = stages[1].ticks
-    assert {tick.status for tick in ticks} == {Status.OK}
-    assert stages[1].pipeline.filled == {finger: len(lost)}
-    said = [event for tick in ticks for event in tick.events if "fingertips" in event]
+        stage.play([replace(frame, landmarks=landmarks, valid=None)])
+    assert {tick.status for tick in stage.ticks} == {Status.OK}
+    assert stage.pipeline.filled == {finger: len(lost)}
+    said = [event for tick in stage.ticks for event in tick.events if "fingertips" in event]
     assert said == [f"fingertips: {finger} not seen, filled in", "fingertips: all seen again"]
-    holes = stages[1].q
-    off = np.abs(holes - stages[0].q)
+    off = np.abs(stage.q - whole)
     own = np.array([finger in name for name in hand.joint_names])
     assert off[:, ~own].max() < 0.02 or finger == "thumb"
     assert off[100:250].mean() < 0.05
-    assert np.ptp(holes[100:250], axis=0).max() > 0.3
+    assert np.ptp(stage.q[100:250], axis=0).max() > 0.3
     assert off[300:].max() < 0.02
 
 

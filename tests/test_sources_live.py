@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from live_time import PATIENCE_S, Kept, Waits, started, until
+from live_time import PATIENCE_S, Waits, started, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SourceError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
@@ -174,19 +174,8 @@ def test_a_bad_word_says_what_is_wrong(text, error, says):
     assert says in str(caught.value)
 
 
-def test_deadlines_are_absolute_so_that_lateness_never_adds_up():
-    waits = Waits(overshoot=0.004)
-    done = [
-        (waits.now, late)
-        for late, _ in on_time(((k * 0.01, k) for k in range(100)), waits.clock, waits)
-    ]
-    assert done[0] == (0.0, 0.0)
-    times, lates = np.array(done[1:]).T
-    np.testing.assert_allclose(times, 0.01 * np.arange(1, 100) + 0.004)
-    np.testing.assert_allclose(lates, 0.004)
-
-    waits = Waits()  # late items come at once and in order
-    seen = []
+def test_late_items_come_at_once_and_in_order_and_time_starts_with_the_first():
+    waits, seen = Waits(), []
     for _, k in on_time(((k * 0.01, k) for k in range(6)), waits.clock, waits):
         seen.append((k, round(waits.now, 6)))
         if k == 1:
@@ -201,11 +190,7 @@ def test_deadlines_are_absolute_so_that_lateness_never_adds_up():
         yield 0.5, "b"
 
     times = [(late, waits.now) for late, _ in on_time(slow(), waits.clock, waits)]
-    assert times == [(0.0, 3.0), (0.0, 3.5)]  # time starts with the first item
-
-    waits = Waits(until=0.255)  # stopping ends a wait
-    due = ((k * 0.01, k) for k in range(1000))
-    assert [k for _, k in on_time(due, waits.clock, waits)][-1] == 25
+    assert times == [(0.0, 3.0), (0.0, 3.5)]
 
 
 @pytest.fixture
@@ -246,16 +231,6 @@ def test_rounds_of_a_replay_are_sessions_whose_stamps_go_on(glove, tmp_path):
     np.save(tmp_path / "pose.npy", SyntheticOperator().record(0.1).landmarks[0])
     single = played(Replay(tmp_path / "pose.npy", loop=True), Waits(until=0.1))
     assert len(single) == 11
-
-
-def test_a_replay_in_real_time_ends_by_itself(glove):
-    source, mailbox = Replay(glove), Kept()
-    source.start(mailbox)
-    until(lambda: source.health().state == "ended")
-    received = [a.received for a in mailbox.all]
-    assert len(received) == 20
-    assert received == sorted(received)
-    assert received[-1] - received[0] >= 0.38 - 0.02  # never ahead of its time
 
 
 def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path):

@@ -120,12 +120,6 @@ def test_both_hands_have_their_own_frames(retargeters, frames):
         assert {t.arrival.frame.side for t in answered(side) if t.arrival} == {side}
 
 
-def test_commands_go_on_when_no_frame_comes(retargeters):
-    sink = KeptTicks()
-    run_until(looped(retargeters, Player([], 1.0), sink), lambda: len(sink.ticks) >= 30)
-    assert {tick.mode for tick in sink.ticks} == {Mode.WAITING}
-
-
 def test_a_source_that_cannot_be_opened_closes_the_sinks(retargeters, frames):
     sink = KeptTicks()
 

@@ -15,7 +15,7 @@ from smooth_operator.simulation.scenes import Scene, ScenePhysics, SceneState, s
 from smooth_operator.simulation.scenes.physics import draw_variation, draw_wrist_variation
 from smooth_operator.simulation.scenes.relocate import SHAPES, relocate_scene
 from smooth_operator.simulation.scenes.table_scene import grasp_centre
-from smooth_operator.simulation.tasks import FIXED_WRIST, TASKS, TaskRun
+from smooth_operator.simulation.tasks import TASKS, TaskRun
 
 HANDS = ("mimic_p050", "leap_hand", "shadow_dexee")
 
@@ -155,8 +155,3 @@ def test_an_object_that_falls_ends_the_trial(carried, score):
     run = trial((0.0, carried, {}), (0.1, (2.0, 0.0, 0.0), LOOSE))
     assert run.outcome.ended == "drop"
     assert run.outcome.score == score
-
-
-def test_the_tasks_of_the_study_have_a_fixed_wrist():
-    assert FIXED_WRIST == ("card", "cube", "screwdriver")
-    assert set(TASKS) > set(FIXED_WRIST)
