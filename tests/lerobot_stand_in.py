@@ -8,6 +8,7 @@ import contextlib
 import enum
 import importlib.metadata
 import importlib.util
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -48,6 +49,20 @@ def needs_lerobot(*distributions: str) -> list[pytest.MarkDecorator]:
     lacking = sorted({"lerobot", *distributions} - installed)
     skip = pytest.mark.skipif(bool(lacking), reason=f"not installed: {', '.join(lacking)}")
     return [pytest.mark.lerobot, skip]
+
+
+def offline(folder: Path) -> dict[str, str]:
+    """Variables of LeRobot's programs: no network, and a folder for what they store."""
+    home = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(folder / "huggingface")}
+    return {**os.environ, **home, "JAX_PLATFORMS": "cpu"}
+
+
+def load_dataset(root: Path) -> Any:
+    """A data set as LeRobot's own class opens it."""
+    os.environ["HF_HUB_OFFLINE"] = "1"
+    from lerobot.datasets import LeRobotDataset
+
+    return LeRobotDataset(f"test/{root.name}", root=root)
 
 
 def with_lerobot(test: Any) -> Any:

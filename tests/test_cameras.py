@@ -1,15 +1,17 @@
 """Cameras of the pages: streams, the simulated camera, a loss, and the live page."""
 
 import base64
+import contextlib
+import threading
 import time
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
 import pytest
 from browser_page import new_page
 from live_time import until as eventually
-from mjpeg_server import MjpegServer
 from pictures import opencv_or_skip
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, SourceError, UnknownNameError
@@ -28,13 +30,46 @@ cv2 = opencv_or_skip()
 ORANGE = (40, 140, 220)  # blue, green, red
 
 
-def orange(number: int) -> np.ndarray:
-    return np.full((48, 64, 3), ORANGE, np.uint8)
+class MjpegServer:
+    """A network camera with orange pictures: JPEG as multipart/x-mixed-replace (RFC 2046)."""
+
+    def __init__(self, port: int = 0) -> None:
+        jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), ORANGE, np.uint8))[1].tobytes()
+        head = f"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+        self.paused = False
+        ended, server = threading.Event(), self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                self.send_response(200)
+                kind = "multipart/x-mixed-replace; boundary=picture"
+                self.send_header("Content-Type", kind)
+                self.end_headers()
+                with contextlib.suppress(OSError):  # the client is gone
+                    while not ended.wait(0.05):
+                        if not server.paused:
+                            self.wfile.write(head.encode() + jpeg + b"\r\n")
+
+            def log_message(self, *_: Any) -> None:
+                """Stays silent."""
+
+        self._ended, self._server = ended, ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        self._server.daemon_threads = True
+        self.port = self._server.server_address[1]
+        self.address = f"http://127.0.0.1:{self.port}/video.mjpg"
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        """Ends all streams, and frees the port."""
+        self._ended.set()
+        time.sleep(0.1)  # the streams' last picture
+        self._server.shutdown()
+        self._server.server_close()
 
 
 @pytest.fixture
 def server() -> Iterator[MjpegServer]:
-    started = MjpegServer(orange)
+    started = MjpegServer()
     yield started
     started.close()
 
@@ -62,7 +97,7 @@ def test_a_stream_is_shown_and_comes_back_after_a_loss(server):
         eventually(lambda: state()["age_s"] > LATE_S)
         number = state()["number"]
         assert number >= known[0]
-        again = MjpegServer(orange, server.port)
+        again = MjpegServer(server.port)
         try:
             eventually(lambda: state()["number"] > number)
             eventually(lambda: state()["age_s"] < LATE_S)
@@ -139,7 +174,8 @@ def test_the_live_page_shows_pictures_with_their_age(chromium):
         stop = StopPanel(server, lambda _: None, attended=True)
         panel = LivePanel(server, hands, lambda *_: None, scene, stop)
         assert panel.pictures == []
-        jpeg = base64.b64encode(cv2.imencode(".jpg", orange(0))[1].tobytes()).decode()
+        picture = np.full((48, 64, 3), ORANGE, np.uint8)
+        jpeg = base64.b64encode(cv2.imencode(".jpg", picture)[1].tobytes()).decode()
         seen = {"name": "wrist", "number": 7, "age_s": 0.04, "lost": False}
         shown: dict[str, Any] = {"hands": {}, "cameras": [seen | {"jpeg": jpeg}]}
         panel.show(shown)

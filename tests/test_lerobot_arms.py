@@ -5,7 +5,6 @@ has a job with them (``lerobot``).
 """
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_files import so101_urdf
-from lerobot_stand_in import PACKAGES, TELEOPERATOR, needs_lerobot
+from lerobot_stand_in import PACKAGES, TELEOPERATOR, needs_lerobot, offline
 from simulators.common import SerialLine
 from simulators.feetech_bus import SYNC_WRITE, FeetechBus
 
@@ -60,12 +59,7 @@ run(sys.argv[0], run_name="__main__")
 
 def ran(words: list[str], folder: Path) -> None:
     """Runs a program with LeRobot's calibration in a folder."""
-    environment = {
-        **os.environ,
-        "HF_HUB_OFFLINE": "1",
-        "HF_LEROBOT_CALIBRATION": str(folder),
-        "JAX_PLATFORMS": "cpu",
-    }
+    environment = {**offline(folder), "HF_LEROBOT_CALIBRATION": str(folder)}
     command = [sys.executable, "-c", PATIENT, *words]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]

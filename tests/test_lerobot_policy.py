@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
-from lerobot_stand_in import ENVIRONMENT, ROBOT, TELEOPERATOR, needs_lerobot
+from lerobot_stand_in import ENVIRONMENT, ROBOT, TELEOPERATOR, load_dataset, needs_lerobot, offline
 from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
@@ -34,14 +34,6 @@ pytestmark = needs_lerobot("accelerate", TELEOPERATOR, ROBOT, ENVIRONMENT)
 
 FPS, TASK = 10, "Move the fingers"
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "lerobot.md"
-
-
-def load(root: Path) -> Any:
-    """A data set as LeRobot's own class opens it."""
-    os.environ["HF_HUB_OFFLINE"] = "1"
-    from lerobot.datasets import LeRobotDataset
-
-    return LeRobotDataset(f"test/{root.name}", root=root)
 
 
 def can_draw() -> bool:
@@ -63,11 +55,8 @@ def documented(start: str, word: str = "") -> str:
 def started(command: str, folder: Path, **options: Any) -> subprocess.Popen[str]:
     """A documented command, as typed into a shell without a display or a network."""
     environment = {
-        **os.environ,
+        **offline(folder),
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "HF_HUB_OFFLINE": "1",
-        "HF_HOME": str(folder / "huggingface"),
-        "JAX_PLATFORMS": "cpu",
         "BROWSER": "true",
     }
     return subprocess.Popen(
@@ -118,7 +107,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_documented_commands_record_train_roll_out_and_evaluate(trained):
-    data = load(trained / "fingers")
+    data = load_dataset(trained / "fingers")
     assert data.num_episodes == 2
     picture = data[len(data) // 2]["observation.images.front"]
     assert tuple(picture.shape) == (3, 120, 160)
@@ -133,11 +122,11 @@ def test_documented_commands_record_train_roll_out_and_evaluate(trained):
 
 def test_documented_commands_edit_the_data_set_and_change_the_hand(trained):
     typed(documented("lerobot-edit-dataset"), trained)
-    assert load(trained / "fingers-good").num_episodes == 1
+    assert load_dataset(trained / "fingers-good").num_episodes == 1
     typed(documented("smooth-operator retarget"), trained)
-    assert load(trained / "fingers-leap").num_episodes == 2
+    assert load_dataset(trained / "fingers-leap").num_episodes == 2
     typed(documented("smooth-operator convert"), trained)
-    assert "observation.environment_state" in load(trained / "state").features
+    assert "observation.environment_state" in load_dataset(trained / "state").features
 
 
 def test_the_documented_dagger_records_a_correction(trained, tmp_path):
@@ -159,7 +148,7 @@ def test_the_documented_dagger_records_a_correction(trained, tmp_path):
     for handle in (keyboard, terminal):
         os.close(handle)
     assert "Correction 1/1 saved" in said
-    rows = load(trained / "corrections").hf_dataset.with_format("numpy")[:]
+    rows = load_dataset(trained / "corrections").hf_dataset.with_format("numpy")[:]
     assert len(rows["intervention"]) > 10
     assert np.all(rows["intervention"])
     # the correction begins where the robot is
@@ -184,7 +173,7 @@ def test_a_log_merges_with_a_recording_by_lerobots_tool(tmp_path):
         typed(record, tmp_path)
     convert = f"smooth-operator convert take.mcap --columns robot --fps {FPS} --task '{TASK}'"
     typed(f"{convert} --output plain-log", tmp_path)
-    own, log = load(tmp_path / "plain"), load(tmp_path / "plain-log")
+    own, log = load_dataset(tmp_path / "plain"), load_dataset(tmp_path / "plain-log")
     assert log.features == own.features
     assert log.meta.robot_type == own.meta.robot_type == "smooth_hand"
     typed(
@@ -193,6 +182,6 @@ def test_a_log_merges_with_a_recording_by_lerobots_tool(tmp_path):
         " --operation.roots='[plain, plain-log]' --push_to_hub=false",
         tmp_path,
     )
-    both = load(tmp_path / "both")
+    both = load_dataset(tmp_path / "both")
     assert (both.num_episodes, len(both)) == (2, len(own) + len(log))
     np.testing.assert_array_equal(both[len(own)]["action"], log[0]["action"])

@@ -3,7 +3,6 @@
 Needs LeRobot and both plug-ins installed; CI has a job with them (``lerobot``).
 """
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
-from lerobot_stand_in import ROBOT, TELEOPERATOR, needs_lerobot
+from lerobot_stand_in import ROBOT, TELEOPERATOR, load_dataset, needs_lerobot, offline
 from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
@@ -32,12 +31,7 @@ TASK = "Move the fingers"
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with ``dataset``, recorded in two runs, and ``take.mcap``, what was sent."""
     folder = tmp_path_factory.mktemp("lerobot")
-    environment = {
-        **os.environ,
-        "HF_HUB_OFFLINE": "1",
-        "HF_HOME": str(folder / "huggingface"),
-        "JAX_PLATFORMS": "cpu",
-    }
+    environment = offline(folder)
     # A machine that stands still for a moment must not turn into held actions: they are tested
     # elsewhere, and here each action must be a command that was sent.
     teleop = (
@@ -81,14 +75,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def load(root: Path, name: str = "test/hand") -> Any:
-    """A dataset as LeRobot's own class opens it."""
-    os.environ["HF_HUB_OFFLINE"] = "1"
-    from lerobot.datasets import LeRobotDataset
-
-    return LeRobotDataset(name, root=root)
-
-
 def table(dataset: Any, column: str) -> np.ndarray:
     return np.asarray(dataset.hf_dataset.with_format("numpy")[:][column])
 
@@ -106,7 +92,7 @@ POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 
 def test_every_column_of_a_recorded_dataset_is_right(recorded):
     hand = load_hand("mimic_p050")
-    dataset = load(recorded / "dataset")
+    dataset = load_dataset(recorded / "dataset")
     joints = [f"{name}.pos" for name in hand.joint_names]
     names = {
         "action": joints + POSE,
@@ -152,7 +138,7 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded):
 
 def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded):
     hand = load_hand("mimic_p050")
-    dataset = load(recorded / "dataset")
+    dataset = load_dataset(recorded / "dataset")
     take = read_log(recorded / "take.mcap")
     sent = np.concatenate([take.commands.joint_positions, take.wrist.poses], axis=1)
     sent = sent[np.isfinite(sent).all(axis=1)]  # the first have no wrist
@@ -187,7 +173,7 @@ def test_a_log_becomes_a_dataset_with_the_same_keys(recorded):
     """The log of the same session, converted, has the robot's columns, for LeRobot's class too."""
     root = recorded / "converted"
     assert main(["convert", str(recorded / "take.mcap"), "--output", str(root)]) == 0
-    converted, own = load(root, "test/converted"), load(recorded / "dataset")
+    converted, own = load_dataset(root), load_dataset(recorded / "dataset")
     for name in ("action", "observation.state"):
         names = list(converted.features[name]["names"])
         assert names == list(own.features[name]["names"])[: len(names)]  # without the arm
@@ -209,7 +195,7 @@ def test_a_log_becomes_a_dataset_with_the_same_keys(recorded):
 
 def test_the_human_hand_is_kept_and_drives_another_hand(recorded):
     """The hand of each frame is one that the tracker saw; from it come the actions of LEAP."""
-    dataset, take = load(recorded / "dataset"), read_log(recorded / "take.mcap")
+    dataset, take = load_dataset(recorded / "dataset"), read_log(recorded / "take.mcap")
     for name, (dtype, shape) in HUMAN.items():
         feature = dataset.features[name]
         assert (feature["dtype"], tuple(feature["shape"])) == (dtype, shape)
@@ -226,7 +212,7 @@ def test_the_human_hand_is_kept_and_drives_another_hand(recorded):
 
     command = f"retarget --dataset {recorded / 'dataset'} --hand leap_hand --method joint_angle"
     assert main([*command.split(), "--output", str(recorded / "leap"), "--quiet"]) == 0
-    made = load(recorded / "leap", "test/leap")
+    made = load_dataset(recorded / "leap")
     joints = [f"{name}.pos" for name in load_hand("leap_hand").actuated_names]
     assert list(made.features["action"]["names"]) == joints + POSE
     assert list(made.features["observation.state"]["names"]) == joints + ARM + POSE
