@@ -46,7 +46,7 @@ class AllegroHand:
         self.faults = Faults("short")
         self.stuck: set[int] = set()
         self.error: tuple[int, int] | None = None
-        self.torque_frames = 0
+        self.torques: list[tuple[int, ...]] = []  # of a finger, in the order of their frames
         self.now = time.perf_counter()
         self._answered = True
         self._can: Any = can
@@ -88,7 +88,7 @@ class AllegroHand:
             self.switched.append(self.servo_on)
         elif 0x60 <= number <= 0x63 and not message.is_remote_frame:
             values = struct.unpack("<4h", message.data)
-            self.torque_frames += 1
+            self.torques.append(values)
             self.largest_torque = max(self.largest_torque, *(abs(v) for v in values))
             self.torque[4 * (number - 0x60) : 4 * (number - 0x60) + 4] = values
             self._answered |= number == 0x63

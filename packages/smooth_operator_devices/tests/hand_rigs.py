@@ -52,7 +52,7 @@ class Rig:
     Attributes:
         hand: the simulated hand; most have ``motors``.
         sink: text of the sink, without settings.
-        sent: targets that the hand got; NaN for a motor without one.
+        sent: targets that the hand got; NaN for a motor without one. Torques of an Allegro Hand.
     """
 
     driver: str = ""
@@ -79,7 +79,7 @@ class Rig:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, side: str = "right") -> None:
         self.folder, self.monkeypatch, self.side = folder, monkeypatch, side
         self.served = contextlib.ExitStack()
-        self.sent: list[np.ndarray] = []
+        self.sent: list[Any] = []
         self._looks: list[Callable[[np.ndarray, np.ndarray], None]] = []
         self.hand: Any = self.make()
         self.watch()
@@ -294,11 +294,7 @@ class InspireRtu(OnALine, InspireTcp):
 class Linker(OnCan):
     other = "not a left hand, which has the identifier 0x28"
     driver, wrong = "linker", ("identifier", "short")
-    model = "L20"
-
-    @property
-    def table(self) -> str:  # type: ignore[override]
-        return f"linker_{self.model.lower().replace(' ', '')}"
+    model, table = "L20", "linker_l20"
 
     def make(self) -> Any:
         from simulators.linkerhand_can import LinkerHand
@@ -562,7 +558,8 @@ class Allegro(Rig):
         return hand
 
     def watch(self) -> None:
-        """The hand gets no positions."""
+        """The hand gets no positions, but torques."""
+        self.sent = self.hand.torques
 
     def serve(self) -> str:
         return self.text(f"virtual:{self.channel}", table=self.table)
@@ -573,15 +570,6 @@ class Allegro(Rig):
     def outside(self) -> int:
         """Torques above the table's limit."""
         return int(self.hand.largest_torque > (150 if self.version == "v5" else 300))
-
-    @property
-    def sent(self) -> range:  # type: ignore[override]
-        """A number for each torque while the motors are on."""
-        return range(self.hand.torque_frames if any(self.hand.switched) else 0)
-
-    @sent.setter
-    def sent(self, value: object) -> None:
-        """The simulator counts them."""
 
     def powered(self) -> bool:
         return bool(self.hand.servo_on)
@@ -660,9 +648,9 @@ RIGS: Final[dict[str, type[Rig]]] = {
     # With touch pads, and answers whose transaction number is off by one.
     "inspire-touch": variant(InspireTcp, table="inspire_ftp", stand_in="inspire_hand", shift=1),
     "linker-l20": Linker,
-    "linker-l10": variant(Linker, model="L10"),
-    "linker-o6": variant(Linker, model="O6", stand_in="inspire_hand"),
-    "linker-l21": variant(Linker, model="L21", stand_in="tesollo_dg5f"),
+    "linker-l10": variant(Linker, model="L10", table="linker_l10"),
+    "linker-o6": variant(Linker, model="O6", table="linker_o6", stand_in="inspire_hand"),
+    "linker-l21": variant(Linker, model="L21", table="linker_l21", stand_in="tesollo_dg5f"),
     "rohand": Rohand,
     "rohand-gen1": variant(Rohand, table="rohand_gen1", generation=1),
     "aero": Aero,
@@ -684,10 +672,10 @@ RIGS: Final[dict[str, type[Rig]]] = {
 """Name -> a driver with its simulator."""
 
 LINKER_HANDS: Final = {
-    "linker-l6": variant(Linker, model="L6", stand_in="inspire_hand"),
-    "linker-l7": variant(Linker, model="L7", stand_in="tesollo_dg5f"),
-    "linker-l20lite": variant(Linker, model="L20 lite", stand_in="tesollo_dg5f"),
-    "linker-l25": variant(Linker, model="L25", stand_in="tesollo_dg5f"),
+    "linker-l6": variant(Linker, model="L6", table="linker_l6"),
+    "linker-l7": variant(Linker, model="L7", table="linker_l7"),
+    "linker-l20lite": variant(Linker, model="L20 lite", table="linker_l20lite"),
+    "linker-l25": variant(Linker, model="L25", table="linker_l25"),
 }
 """Further models, for tests of their frames."""
 
