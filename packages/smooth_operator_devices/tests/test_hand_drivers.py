@@ -235,20 +235,12 @@ def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
     assert rig.near(wanted)
 
 
-WITH_LIMITS = (
-    *(
-        "inspire",
-        "inspire-rtu",
-        "inspire-touch",
-        "linker-l20",
-        "linker-l10",
-        "linker-o6",
-        "linker-l21",
-    ),
-    *("leap", "feetech-sts", "wuji", "revo2", "revo2-sdk"),
-    *("rohand", "rohand-gen1", "wuji2"),
+WITHOUT_LIMITS = (
+    *("ability", "aero", "allegro-v4", "allegro-v5", "dex3", "dexhand021"),
+    *("feetech-scs", "revo3", "xhand"),
 )
-"""Hands in which the driver sets what a restart loses."""
+"""Hands in which the driver sets nothing that a restart loses and that it can read back."""
+WITH_LIMITS = [name for name in RIGS if name not in WITHOUT_LIMITS]
 
 
 @pytest.mark.parametrize("rig", [*WITH_LIMITS, "allegro-v5", "allegro-v4", "aero"], indirect=True)

@@ -171,19 +171,15 @@ def test_another_process_gets_joints_mode_and_wrists(peer, domain, hand):
     send_until(sink, tick, lambda: peer.of("rt/right/human"))
     until(lambda: peer.of("rt/mimic_p050/right/joint_commands"))
     until(lambda: peer.of("rt/mimic_p050/right/wrist_pose"))
+
+    def last_mode() -> str:
+        messages = peer.of("rt/mimic_p050/right/joint_commands_mode")
+        return messages[-1]["data"] if messages else ""
+
     sink.stalled(0.3)
-    until(
-        lambda: (
-            [m["data"] for m in peer.of("rt/mimic_p050/right/joint_commands_mode")][-1:]
-            == ["stalled"]
-        )
-    )
+    until(lambda: last_mode() == "stalled")
     sink.close()
-    until(
-        lambda: (
-            [m["data"] for m in peer.of("rt/mimic_p050/right/joint_commands_mode")][-1] == "ended"
-        )
-    )
+    until(lambda: last_mode() == "ended")
     state = peer.of("rt/mimic_p050/right/joint_commands")[-1]
     assert state["name"] == list(hand.joint_names)
     assert state["position"] == tick.command.joint_positions.tolist()
