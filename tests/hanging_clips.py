@@ -13,7 +13,7 @@ from smooth_operator.datasets import work
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 
 ODD_ONE = "00"
-work.READING_S = 1.0
+work.READING_S = 1.0  # the test waits twice as long
 
 
 class Hanging(Pairs):

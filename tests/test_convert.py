@@ -103,7 +103,7 @@ def episode(
 
 
 def assert_same(a: Episode, b: Episode) -> None:
-    """Equal to the last bit: values that are missing, not a number, or -0."""
+    """Compares to the last bit, with NaN and the sign of zero."""
 
     def content(each: Episode) -> dict[str, Any]:
         hand, commands = each.recording, each.commands

@@ -306,7 +306,7 @@ def run(run) -> Run:
 def test_the_command_retargets_a_folder_and_lists_failures(
     run, folder, expected, tmp_path, monkeypatch
 ):
-    """Although the worker is killed in the middle of the folder."""
+    """The worker is killed once in the middle of the folder, and nothing is lost."""
     if sys.platform != "win32":  # it has no SIGKILL
         monkeypatch.setattr(pipeline, "do_job", killed_once)
     recordings, output = tmp_path / "in", tmp_path / "new" / "out"
