@@ -345,6 +345,14 @@ def because(found: Discovery, subject: str) -> str:
     return " ".join(next(f.evidence for f in found.findings if f.subject == subject))
 
 
+def check(found: Discovery, hand: Model) -> None:
+    """Palm, side, thumb and the order of the fingers are true."""
+    assert found.spec.palm == hand.truth.palm
+    assert found.spec.side == hand.truth.side
+    last = [body for body, _ in hand.truth.tips]
+    assert [f.tip_body.removesuffix("_tip") for f in found.fingers] == last
+
+
 def tip_errors(found: Discovery, truth: Sequence[tuple[str, Any]]) -> Vector:
     """Distances of the tips found from the true ones, thumb first [m]."""
     model = load_model(found.spec.model).model

@@ -20,7 +20,6 @@ class RealHand:
         palm: body whose frame is our palm frame.
         wrist: body or place in the palm frame; None where it is ours to choose.
         fingers: base to tip; None where the finger has no such joint.
-        known: joints whose published coupling contradicts their own limits; read turned round.
         moving: fingers whose base is moved by a joint; ours is where it lies in the neutral pose.
     """
 
@@ -28,7 +27,6 @@ class RealHand:
     palm: str
     wrist: At | None
     fingers: dict[str, Finger]
-    known: tuple[str, ...] = ()
     moving: tuple[str, ...] = ()
 
 
@@ -224,7 +222,6 @@ def svh(side: str) -> RealHand:
         f"{side}_hand_e1",
         at(f"{side}_hand_e1"),
         fingers,
-        ("left_hand_j5",) if side == "left" else (),
         moving=("ring", "pinky"),
     )
 

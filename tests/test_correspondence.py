@@ -12,7 +12,6 @@ import pytest
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.hand_discovery.joints import palm_tilt_deg
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.landmarks import BASES, TIPS
@@ -175,9 +174,3 @@ def test_a_finger_that_opens_within_three_frames_is_in_its_place_at_once(hand):
 def test_impossible_settings_are_refused(setting):
     with pytest.raises(ConfigError):
         CorrespondenceConfig(**setting)
-
-
-@pytest.mark.parametrize("side", ["right", "left"])
-def test_the_tilt_of_palms(side):
-    tilts = {name: palm_tilt_deg(load_hand(name, side)) for name in ("mimic_p050", "shadow_hand")}
-    assert tilts == pytest.approx({"mimic_p050": 37.0, "shadow_hand": 1.1}, abs=1.0)

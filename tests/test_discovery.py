@@ -12,9 +12,9 @@ import pytest
 import trimesh
 import tyro
 from discovery_hands import (
-    Model,
     Part,
     because,
+    check,
     claw,
     found_in,
     make_hand,
@@ -32,7 +32,7 @@ from smooth_operator import Point, load_hand
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.hand_discovery.discover import discover
-from smooth_operator.hand_discovery.landmarks import UNSURE, Discovery, Overrules
+from smooth_operator.hand_discovery.landmarks import UNSURE, Overrules
 from smooth_operator.hand_discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.spec_file import read_hand_spec
@@ -41,44 +41,38 @@ from smooth_operator.types import Side
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
-
-
-SIDES: tuple[Side, ...] = ("right", "left")
 SHADOW = ("th", "ff", "mf", "rf", "lf")
 Known = tuple[str, Side, list[At]]
 """Name in the catalogue, side, and the fingertips, thumb first."""
-
-PUBLISHED: dict[str, Known] = {
-    real.file: (name, side, [points[3] for points in real.fingers.values()])
-    for (name, side), real in REAL.items()
-}
-PUBLISHED["hands/mimic_p050_hand/right_hand.xml"] = (
-    "mimic_p050",
-    "right",
-    [at(f"{finger}_fingertip") for finger in FINGERS],
+LINKS: tuple[tuple[Side, tuple[int, ...]], ...] = (
+    ("right", (15, 3, 7, 11)),
+    ("left", (15, 11, 7, 3)),
 )
-for side, links in zip(SIDES, ((15, 3, 7, 11), (15, 11, 7, 3)), strict=True):
-    PUBLISHED |= {
-        f"hands_urdf/{file}": (name, side, [at(body) for body in tips])
-        for file, name, tips in (
-            (
-                f"allegro_hand/allegro_hand_{side}.urdf",
-                "allegro_hand",
-                [f"link_{k}.0_tip" for k in links],
-            ),
-            (
-                f"leap_hand/leap_hand_{side}.urdf",
-                "leap_hand",
-                [f"{finger}_tip_head" for finger in FINGERS[:4]],
-            ),
-            (f"shadow_hand/shadow_hand_{side}.urdf", "shadow_hand", [f"{f}tip" for f in SHADOW]),
-            (
-                f"shadow_hand/bimanual.urdf --side {side}",
-                "shadow_hand",
-                [f"{side[0]}h_{f}tip" for f in SHADOW],
-            ),
-        )
+"""Last links of the fingers in Allegro's URDF files."""
+
+
+def published() -> dict[str, Known]:
+    """Files of real hands, with the option where a file has two hands."""
+    models: dict[str, Known] = {
+        real.file: (name, side, [points[3] for points in real.fingers.values()])
+        for (name, side), real in REAL.items()
     }
+    mimic = [at(f"{finger}_fingertip") for finger in FINGERS]
+    models["hands/mimic_p050_hand/right_hand.xml"] = ("mimic_p050", "right", mimic)
+    for side, links in LINKS:
+        tips = {
+            f"allegro_hand/allegro_hand_{side}.urdf": [f"link_{k}.0_tip" for k in links],
+            f"leap_hand/leap_hand_{side}.urdf": [f"{finger}_tip_head" for finger in FINGERS[:4]],
+            f"shadow_hand/shadow_hand_{side}.urdf": [f"{f}tip" for f in SHADOW],
+            f"shadow_hand/bimanual.urdf --side {side}": [f"{side[0]}h_{f}tip" for f in SHADOW],
+        }
+        for file, bodies in tips.items():
+            name = file.partition("/")[0]
+            models[f"hands_urdf/{file}"] = (name, side, [at(body) for body in bodies])
+    return models
+
+
+PUBLISHED = published()
 
 
 @pytest.mark.shared
@@ -136,14 +130,6 @@ def test_a_hand_without_a_side_of_its_own_says_so(shared):
     left = discover(path, side="left")
     assert [f.joints[-1] for f in left.fingers] == ["F0/J3", "F1/J3", "F2/J3"]
     assert sure(left, "side") > 0.9
-
-
-def check(found: Discovery, hand: Model) -> None:
-    truth = hand.truth
-    assert found.spec.palm == truth.palm
-    assert found.spec.side == truth.side
-    last = [body for body, _ in truth.tips]
-    assert [f.tip_body.removesuffix("_tip") for f in found.fingers] == last
 
 
 @pytest.mark.parametrize("fingers", [2, 3, 4, 5])

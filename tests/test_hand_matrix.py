@@ -1,4 +1,4 @@
-"""Every hand of the catalogue, by every method, and its left side, with the built-in operator.
+"""Hands of the catalogue, by every method, and their left sides, with the built-in operator.
 
 What is asked here is that a hand follows at all; ``bench --hands all`` measures how well.
 Compiling is nearly all of the time.
@@ -12,10 +12,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import Hand, Retargeter, Status, load_hand, method_names
-from smooth_operator.baselines.geort.method import (
-    built_in_model,
-    finger_joints,
-)
+from smooth_operator.baselines.geort.method import built_in_model, finger_joints
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import hand_names
 from smooth_operator.metrics import evaluate
@@ -95,7 +92,7 @@ def moved_by(hand: Hand, method: str) -> tuple[np.ndarray, float]:
 @pytest.mark.parametrize(
     ("name", "methods"),
     [
-        *EVERY_RUN.items(),
+        *(pytest.param(name, methods, id=name) for name, methods in EVERY_RUN.items()),
         *(pytest.param(n, METHODS, id=f"{n}-all", marks=pytest.mark.weekly) for n in NAMES),
     ],
 )

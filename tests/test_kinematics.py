@@ -52,20 +52,6 @@ def test_polynomials_within_limits_are_accurate(seed):
     assert abs(got - tree.positions(q)).max() < 1e-6
 
 
-def test_polynomials_of_a_joint_that_turns_round_and_round():
-    spec = mujoco.MjSpec.from_string(
-        '<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.1"/>'
-        '<body name="tip"><joint axis="0 0 1" range="-12 12"/><geom size="0.1"/></body>'
-        "</body></worldbody></mujoco>"
-    )
-    model = spec.compile()
-    tree = build_tree(model, model.body("palm").id, {"p": (2, np.array([0.1, 0.0, 0.0]))})
-    q = np.linspace(-12, 12, 2001)[:, None]
-    rows = [jnp.asarray(q[:, 0], jnp.float32)]
-    x, y, _ = tree.forward_kinematics(rows, ("p",), within_limits=True)[0]
-    assert np.hypot(x - 0.1 * np.cos(q[:, 0]), y - 0.1 * np.sin(q[:, 0])).max() < 1e-6
-
-
 def test_batch_shapes_and_kinds():
     tree = load_hand().tree
     q = limited_poses(np.random.default_rng(1), np.nan_to_num(tree.limits), 12)
@@ -76,25 +62,6 @@ def test_batch_shapes_and_kinds():
     traced = jax.jit(tree.positions)(jnp.asarray(q, jnp.float32))
     assert traced.dtype == jnp.float32
     np.testing.assert_allclose(traced, flat, atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", [1, 6])
-def test_gradients_by_finite_differences(seed):
-    _, _, _, tree = random_tree(seed)
-    q = limited_poses(np.random.default_rng(seed), tree.limits, 1)[0]
-    step = 1e-6
-    numeric = np.stack(
-        [
-            (tree.positions(q + e) - tree.positions(q - e)) / (2 * step)
-            for e in step * np.eye(len(q))
-        ],
-        axis=-1,
-    )
-    with float64():
-        exact = jax.jit(jax.jacfwd(tree.positions))(jnp.asarray(q))
-        assert exact.dtype == jnp.float64
-        np.testing.assert_allclose(exact, numeric, atol=1e-8)
-    assert abs(numeric).max() > 0.1
 
 
 @pytest.mark.parametrize("seed", [1, 5, 8])

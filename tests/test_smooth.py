@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 from trees import limited_poses
 
-from smooth_operator import (
-    Hand,
-    HandFrame,
-    HandRecording,
-    Retargeter,
-    SyntheticOperator,
-)
+from smooth_operator import Hand, HandFrame, HandRecording, Retargeter, SyntheticOperator
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.landmarks import LANDMARKS, TIPS
