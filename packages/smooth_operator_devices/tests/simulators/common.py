@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -256,20 +256,6 @@ class SerialLine:
             answer = self.device.receive(data)
             if answer:
                 self.send(answer)
-
-
-@contextlib.contextmanager
-def opening(make: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
-    """A function that makes a device and opens it; all of them are closed at the end."""
-    with contextlib.ExitStack() as stack:
-
-        def opened(*args: object, **settings: object) -> Any:
-            device = make(*args, **settings)
-            stack.callback(device.close)
-            device.open()
-            return device
-
-        yield opened
 
 
 @contextlib.contextmanager

@@ -12,17 +12,17 @@ Facts: 1 Mbit/s, 5 Mbit/s for data. Identifier = kind + board: 0x100 motion comm
 configuration, 0x180 feedback, 0x80 answer to a configuration, 0x600 error. Boards: left 1 to 6,
 right 7 to 12. Motors of the boards: (th_dip, th_mcp), (th_rot, ff_spr), (ff_dip, ff_mcp), then
 middle, ring and little finger. A command is mode, enable bits and two i16, low byte first; in mode
-0x44 (cascaded) the unit is 0.01°, in 0x33 and 0x55 Hall counts, which are degrees x scale x
+0x44 (cascaded), the only one here, the unit is 0.01°. Hall counts are degrees x scale x
 6*25*16/360. Feedback: current [mA], speed [rpm], Hall counts of each motor, two angles in 0.01°
 (16 bytes); touch of a fingertip to byte 42, encoders to byte 46. A good answer to a configuration
 repeats its first two bytes and adds 00 01. An error frame of a hand had 64 bytes: EE, motor, bits.
 A finger that something holds may go into the error state, and then ignores commands until 03 A4.
 
-Not found: whether boards send feedback before they are configured (here they do not), what asks for
-feedback in mode "query" (here a motion command), how long a motor must stall (here 0.5 s), how long
-feedback frames are on the wire (here 48 bytes with touch and encoders, and 16 for the palm's board,
-which has no fingertip; CAN-FD has no frames of 42 or 46 bytes), whether classic frames are heard
-(here they are not), the error frames EF and FF, and the modes 0x66 and 0x77 of the newer SDK.
+Not found: whether boards send feedback before they are configured (here they do not), how long a
+motor must stall (here 0.5 s), how long feedback frames are on the wire (here 48 bytes with touch
+and encoders, and 16 for the palm's board, which has no fingertip; CAN-FD has no frames of 42 or 46
+bytes), whether classic frames are heard (here they are not), the error frames EF and FF, and the
+modes 0x66 and 0x77 of the newer SDK.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ JOINTS = (
 )
 HALL_SCALE = np.array([2.1, 2.1, 1.8, 4.0, 2.2, 1.6, 2.2, 1.6, 2.2, 1.6, 2.2, 1.6])
 COUNTS = HALL_SCALE * 6 * 25 * 16 / 360  # Hall counts per degree
-FREE, CURRENT, SPEED, HALL, CASCADED, PROTECTED = 0x00, 0x11, 0x22, 0x33, 0x44, 0x55
-OVERLOAD, HALL_ERROR, STALL, PARAMETER = 1, 2, 4, 8  # of motor 1; of motor 2 they are 4 bits higher
+FREE, CASCADED = 0x00, 0x44
+OVERLOAD, STALL = 1, 4  # bits of motor 1; of motor 2 they are 4 bits higher
 
 
 class DexHand021:
@@ -74,7 +74,6 @@ class DexHand021:
         self.errors = [0] * 12
         self.feedback: list[tuple[int, float] | None] = [None] * 6  # mode, period in seconds
         self._due = [0.0] * 6
-        self._last = [b""] * 6
         self._stalled: dict[int, float] = {}
         self._errors_to_send: list[int] = []
         self.motors.place(self.motors.positions)
@@ -115,13 +114,9 @@ class DexHand021:
             if setting is None or board in self.dead_boards:
                 continue
             mode, period = setting
-            payload = self._payload(board)
-            if (mode == 1 and now >= self._due[board]) or (
-                mode == 3 and payload != self._last[board]
-            ):
+            if mode == 1 and now >= self._due[board]:
                 self._due[board] = now + period
-                self._last[board] = payload
-                frames.append(self._frame(0x180, board, payload))
+                frames.append(self._frame(0x180, board, self._payload(board)))
         return frames
 
     def _command(self, board: int, data: bytes) -> list[can.Message]:
@@ -136,11 +131,6 @@ class DexHand021:
             self.motors.set_power(mode != FREE, [motor])
             if mode == CASCADED:
                 self.motors.move([value / 100], [motor])
-            elif mode in (HALL, PROTECTED):
-                self.motors.move([value / COUNTS[motor]], [motor])
-        setting = self.feedback[board]
-        if setting is not None and setting[0] == 2:
-            return [self._frame(0x180, board, self._payload(board))]
         return []
 
     def _configure(self, board: int, data: bytes) -> list[can.Message]:

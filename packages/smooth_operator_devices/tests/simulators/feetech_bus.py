@@ -8,8 +8,7 @@ Sources, by the maker (Feetech):
 - "Communication Protocol User Manual" 191218-0923, as quoted byte for byte in public copies:
   examples 1 to 8 (`test_simulators.py` has them).
 - Memory table of the STS series (Feetech, public copy): initial values, status bits, torque switch
-  (0 off, 1 on, 2 damping, 128 makes the present position 2048), torque limit 48 filled from 16 at
-  power on, units, moving flag.
+  (0 off, 1 on), torque limit 48 filled from 16 at power on, units, moving flag.
 - github.com/ftservo/ftservo-wiki, commit a1c18bd4, `docs/en/reference/memory-scscl.md`: SCSCL,
   high byte first, lock 48, addresses 69 and 70.
 - Data sheet ST-3215-C018 (2023-07-20), paragraphs 7 to 11, as quoted in a public repository:
@@ -120,14 +119,6 @@ class Servo:
         if self.memory[self.model.lock] == 0:
             self.saved = bytes(self.memory[:40])
         if address <= 40 < ends:
-            if self.memory[40] == 128 and self.model.lock == 55:
-                self.motors.place(
-                    [
-                        2048 if i == self.number else position
-                        for i, position in enumerate(self.motors.positions)
-                    ]
-                )
-                self.memory[40] = 1
             self.motors.set_power(self.memory[40] == 1, [self.number])
             self.motors.move([self.motors.positions[self.number]], [self.number])
         if address <= 46 < ends and address + len(data) > 47:
