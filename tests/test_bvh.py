@@ -156,7 +156,7 @@ GOOD = text()
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (GOOD.replace("Pinky", "Little"), "no hand with fingers.*switch on the fingers"),
+        (GOOD.replace("Pinky", "Little"), "no hand with fingers.*enable the fingers"),
         (GOOD.replace(f"Frames: {FRAMES}", "Frames: 31"), "states 31 frames.*it has 30"),
         (GOOD[: len(GOOD) - 40], "one of .* numbers; it is cut off or damaged"),
         (GOOD.replace("Frames: 30", "Frames: x"), "the line 'Frames:' must hold numbers"),

@@ -79,7 +79,7 @@ def test_a_finger_without_a_pinch_has_no_gap():
     assert calibration.operator.pinch_gaps.keys() == {"index"}
     notes = {f.finger: f.note for f in calibration.findings}
     assert not notes["index"]
-    assert all("not found" in notes[finger] for finger in FINGERS[2:])
+    assert all("no pinch was found" in notes[finger] for finger in FINGERS[2:])
 
 
 def test_pinches_that_prompts_mark_calibrate_like_those_of_a_search(exact, found):

@@ -315,7 +315,7 @@ def test_view_finds_the_frames_and_refuses_another_recording(run, glove, tmp_pat
     assert run("view", out, out, glove)[0] == 0  # several, side by side
     assert [one.label for one in pages[-1]] == ["sbr tiny (out)"] * 2
     assert pages[-1][0].title == "mimic_p050 right"
-    assert "and then their recording" in run("view", glove)[2]
+    assert "and then the recording" in run("view", glove)[2]
     out.with_suffix(".json").unlink()  # the commands alone will do
     assert run("view", out, glove)[0] == 0
 

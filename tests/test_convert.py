@@ -637,7 +637,7 @@ def test_datasets_and_damaged_files_in_a_folder(tmp_path, run):
 
     (source / "c.npz").write_bytes((tmp_path / "out" / "b.npz").read_bytes()[:-60])
     status, err = run(source, "--output", tmp_path / "set")
-    assert (status, "c.npz: the file is damaged or cut off" in err) == (2, True), err
+    assert (status, "c.npz: the file is damaged or incomplete" in err) == (2, True), err
     assert {p.name for p in tmp_path.iterdir()} == {"in", "out"}
 
 
@@ -775,7 +775,7 @@ def test_invalid_requests(tmp_path, run):
         ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps applies only to LeRobot"),
         ((a, "--fps", 0, "--output", tmp_path / "x"), "fps must be a whole number"),
         ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode applies only to LeRobot"),
-        ((a, b, "--commands", a, "--output", tmp_path / "x"), "holds the commands of one"),
+        ((a, b, "--commands", a, "--output", tmp_path / "x"), "contains the commands of only one"),
         ((a, "--commands", tmp_path / "no", "--output", tmp_path / "x"), "no such file"),
         ((a, "--commands", tmp_path, "--output", tmp_path / "x"), "1 of 1 recordings have no"),
         ((tmp_path / "none", "--output", tmp_path / "x"), "no such file"),
@@ -855,7 +855,7 @@ def test_hdf5_of_another_program_or_time(tmp_path):
     with pytest.raises(RecordingError, match="version 9, this program reads version 1; upgrade"):
         read_episode(path)
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(RecordingError, match="damaged or cut off"):
+    with pytest.raises(RecordingError, match="damaged or incomplete"):
         read_episode(path)
 
 
@@ -893,8 +893,8 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
         (INFO, info_with(data_path="../{chunk_index}"), "outside the dataset"),
         (INFO, info_with(data_path="{x}"), "do not say where episode 0 is"),
         (DATA, Path.unlink, "no such file; the dataset is incomplete"),
-        (DATA, truncate, "damaged or cut off"),
-        (ROWS, truncate, "damaged or cut off"),
+        (DATA, truncate, "damaged or incomplete"),
+        (ROWS, truncate, "damaged or incomplete"),
         (ROWS, Path.unlink, "meta/episodes holds no episodes"),
         (DATA, rewritten(lambda t: t.slice(5)), "holds 35 frames of episode 0"),
         (

@@ -502,7 +502,7 @@ def one_clip(folder: Path, name: str = "a", **more: Any) -> Clip:
 
 def test_wrists_in_the_frame_of_the_camera(folder):
     clip = one_clip(folder)
-    with pytest.raises(RecordingError, match="poses of its camera are not known"):
+    with pytest.raises(RecordingError, match="its camera poses are unknown"):
         in_frame(clip, "camera")
     camera = np.tile([1.0, 2.0, 0.5, 0.5, -0.5, 0.5, -0.5], (len(clip), 1))
     seen = in_frame(replace(clip, T_world_camera=camera), "camera")
@@ -654,7 +654,7 @@ def test_the_command(folder, tmp_path, capsys):
     assert summary["clips"] == 1
     for more, says in [
         (("--shard", "5/4"), "i from 1 to n"),
-        (("--shard", "1/4", "--merge"), "give one of them"),
+        (("--shard", "1/4", "--merge"), "give only one of them"),
         (("--format", "parket"), "Did you mean 'parquet'?"),
         (("--min-valid", "2"), "min_valid must be between 0 and 1, not 2"),
         (("--max-gap", "nan"), "max_gap must be 0 or more"),
@@ -704,7 +704,7 @@ def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
 
 def test_a_missing_gpu_and_unsuitable_work(tmp_path, folder):
     asked = replace(request(folder, tmp_path / "out"), device="gpu")
-    with pytest.raises(ConfigError, match=r"it sees only .*--device cpu"):
+    with pytest.raises(ConfigError, match=r"JAX sees only .*--device cpu"):
         make(asked)
     merged = make(replace(asked, merge=True))  # retargets nothing, and needs none
     assert len(merged.failed) == len(FRAMES)

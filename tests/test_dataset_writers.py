@@ -216,7 +216,7 @@ def test_a_full_disk_ends_the_run_and_keeps_complete_shards(name, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert caught.value.errno == errno.EFBIG
-    assert "larger than is allowed" in str(caught.value)
+    assert "larger than this disk allows" in str(caught.value)
     assert not list((tmp_path / "out").rglob("*.tmp"))
     with WRITERS.load(name).open(tmp_path / "out", options) as again:
         for clip in clips:

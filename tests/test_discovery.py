@@ -168,7 +168,7 @@ def test_neither_arm_nor_format_nor_missing_shapes_matter(tmp_path, seed):
             pytest.approx(gain),
             pytest.approx(offset),
         )
-    assert "lead to it" in because(found, "palm")
+    assert "lead to the palm" in because(found, "palm")
     arm = {p.joint for p in hand.parts if p.joint.startswith("aj")}
     assert not arm & {j for f in found.fingers for j in f.joints}
     if seed >= 2:  # nothing marks the tips: guessed, and said to be

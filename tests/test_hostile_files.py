@@ -172,7 +172,7 @@ def test_one_damaged_file_does_not_end_a_search(tmp_path):
         archive.writestr("landmarks.npy", b"\x93NUMPY\x01\x00v\x00" + header + bytes(6048))
     found = find_items([str(tmp_path)], layout="files")
     assert [item.name for item in found.items] == ["bad", "good"]
-    with pytest.raises(RecordingError, match="damaged or cut off"):
+    with pytest.raises(RecordingError, match="damaged or incomplete"):
         read_recording(tmp_path / "bad.npz")
 
 
@@ -190,7 +190,7 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path):
         shape = file["hand/stamps"].shape
         del file["hand/stamps"]
         file["hand"].create_dataset("stamps", shape, "f8", external=[("/etc/hostname", 0, 96)])
-    with pytest.raises(RecordingError, match="are stored in other files"):
+    with pytest.raises(RecordingError, match="are in other files"):
         read_episode(path)
 
 
@@ -298,7 +298,7 @@ def test_a_result_that_is_not_written_leaves_no_configuration(tmp_path, monkeypa
         ("", errno.EROFS, "read-only"),
         ("", errno.EIO, "choose another path"),
         ("", errno.EISDIR, "it is a folder; give the name of a file"),
-        ("x.npz", errno.ENOENT, "no file can be made there"),
+        ("x.npz", errno.ENOENT, "no file can be created there"),
         ("a/x.npz", errno.ENOENT, "create it first"),
     ],
 )

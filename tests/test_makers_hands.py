@@ -41,7 +41,7 @@ def clone(tmp_path, monkeypatch) -> Path:
 
 def test_a_hand_is_added_from_a_clone_with_its_options(run: Run, clone):
     status, out, err = run("hands", "list")
-    assert re.search(r"Model from the maker's repository[^$]*\n acme .* Acme ", out), out
+    assert re.search(r"The model is in the maker's repository[^$]*\n acme .* Acme ", out), out
     with pytest.raises(HandModelError, match=r"add first: smooth-operator hands add acme$"):
         load_hand("acme")
     status, out, err = run("hands", "add", "acme", "--from", "models")

@@ -215,8 +215,8 @@ REFUSED = [
     ({"joints": hand() > 0}, "must hold real numbers, not bool"),
     ({"joints": hand(), "side": np.array("")}, "side must be"),
     ({"joints": hand(), "chirality": np.array("R"), "side": np.array("L")}, "mixes left"),
-    ({"poses": np.zeros((FRAMES, 156)), "betas": np.zeros(16)}, r"a whole body \(SMPL-H, 156"),
-    ({"poses": np.zeros((FRAMES, 165)), "betas": np.zeros(16)}, r"a whole body \(SMPL-X, 165"),
+    ({"poses": np.zeros((FRAMES, 156)), "betas": np.zeros(16)}, r"whole-body parameters \(SMPL-H, 156"),
+    ({"poses": np.zeros((FRAMES, 165)), "betas": np.zeros(16)}, r"whole-body parameters \(SMPL-X, 165"),
     (b"\x89HDF\r\n\x1a\n" + bytes(50), "HDF5"),
     (b"\x1f\x8b" + bytes(50), "gzip"),
     (b"time,x,y,z\n0,1,2,3\n", "not a recording: it starts with b'time,x,y'"),
@@ -224,18 +224,18 @@ REFUSED = [
     (b"\xef\xbb\xbfHIERARCHY\r\n", "the HIERARCHY of a BVH file"),
     (b"Kaydara FBX Binary  \x00", "an FBX file, a skeleton"),
     (b'<?xml version="1.0"?>\n<mvnx version="4">', "an Xsens MVNX file, a skeleton"),
-    (b"NO_OF_FRAMES\t1\n", "a Qualisys table .*markers on the skin"),
-    (b"SQLite format 3\x00", "bags of ROS 2 .*ros2 bag play"),
-    (b"#ROSBAG V2.0\n", "a bag of ROS 1; .*--source ros2"),
+    (b"NO_OF_FRAMES\t1\n", "a Qualisys motion-capture table: .*skin markers"),
+    (b"SQLite format 3\x00", "ROS 2 bags .*ros2 bag play"),
+    (b"#ROSBAG V2.0\n", "a ROS 1 bag; .*--source ros2"),
     (b'{"data": [{"states": {"right_ee": {"qpos": [0]}}}]}', "a robot: it contains no human hand"),
     (b'{"frames": []}', "a JSON file of another program; save its landmarks with numpy.savez"),
     (b"tracking_timestamp_us,tx_left_landmark_0_device\n1,0.1\n", "no column right_tracking"),
     (b"\x93NUM", "cut off after 4 bytes"),
     (b"\x89MCAP0", "cut off after 6 bytes"),
     (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
-    (b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'}", "damaged or cut off"),
+    (b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'}", "damaged or incomplete"),
     (b"\x93NUMPY\x01\x00v\x00" + HUGE.encode() + bytes(100), "should take 503999999999"),
-    (b"\x02P\x01\x00", "a C3D file .*markers on the skin", "a.c3d"),
+    (b"\x02P\x01\x00", "a C3D motion-capture file: .*skin markers", "a.c3d"),
     (b"time,x,y,z\n0,1,2,3\n", "a table without the header of landmarks", "a.csv"),
     (b"not SQLite", "a bag of ROS 2; play it", "a.db3"),
 ]
@@ -666,7 +666,7 @@ def test_cut_off_files(tmp_path, form):
     rng = np.random.default_rng(3)
     for length in {*rng.integers(1, len(whole), 20).tolist(), len(whole) - 1, 9}:
         path.write_bytes(whole[:length])
-        refused(path, "damaged or cut off|cut off after", rate=30.0)
+        refused(path, "damaged or incomplete|the file ends after", rate=30.0)
 
 
 # --- frames A:B ------------------------------------------------------------------------------
@@ -700,5 +700,5 @@ def test_invalid_frame_slices(text, match):
         frame_slice(text, 10)
     with pytest.raises(ConfigError):
         frame_slice(":", 0)
-    with pytest.raises(ConfigError, match="which must be after A"):
+    with pytest.raises(ConfigError, match="B must be greater than A"):
         frame_slice("5:5", None)

@@ -110,7 +110,7 @@ def test_other_files_are_not_results(tmp_path):
     with pytest.raises(RecordingError, match="not a file of commands"):
         read_commands(tmp_path / "a.npy")
     (tmp_path / "b.npz").write_bytes(b"PK\x03\x04rubbish")
-    with pytest.raises(RecordingError, match="damaged or cut off"):
+    with pytest.raises(RecordingError, match="damaged or incomplete"):
         read_commands(tmp_path / "b.npz")
     with pytest.raises(RecordingError, match="no such file"):
         read_commands(tmp_path / "c.npz")

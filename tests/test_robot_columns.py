@@ -111,14 +111,14 @@ def test_what_the_columns_need_is_named_where_it_is_lacking(tmp_path):
             write_dataset(tmp_path / "no", [lambda: value], columns="robot", **options)
         assert not (tmp_path / "no").exists()
 
-    refused(replace(take, states=None), "measured joints; record it with a sink that measures")
+    refused(replace(take, states=None), "measured joints; record with a sink that measures")
     refused(replace(take, config=None), "name of its robot hand")
     refused(replace(take, config={"hand": "leap_hand", "side": "right"}), "of the hand leap_hand")
     blind = replace(take.states, positions=np.full_like(take.states.positions, np.nan))
     refused(replace(take, states=blind), "no complete measurement")
     with pytest.raises(RecordingError, match="a commanded wrist"):
         write_dataset(tmp_path / "no", [lambda: take], columns="robot-wrist")
-    with pytest.raises(ConfigError, match="needs the columns of a robot"):
+    with pytest.raises(ConfigError, match="with the columns of a robot"):
         write_dataset(tmp_path / "no", [lambda: take], environment_state=True)
 
 

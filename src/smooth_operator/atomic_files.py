@@ -25,8 +25,8 @@ _LOCKED_BYTE: Final = 1 << 30
 # Advice by errno; strerror alone names the problem but not the remedy.
 _REMEDIES = {
     errno.ENOSPC: "no space is left on the device; free some space, or write to another disk",
-    errno.EDQUOT: "the disk quota is used up; free some space, or write to another disk",
-    errno.EFBIG: "the file would be larger than is allowed here; write to another disk",
+    errno.EDQUOT: "your disk quota is used up; free some space, or write to another disk",
+    errno.EFBIG: "the file would be larger than this disk allows; write to another disk",
     errno.EACCES: "permission denied; choose a folder that you may write to",
     errno.EPERM: "permission denied; choose a folder that you may write to",
     errno.EROFS: "the file system is read-only; choose another folder",
@@ -52,7 +52,7 @@ def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
         occupied.append(errno.EACCES)
     if isinstance(cause, FileNotFoundError):
         if path.parent.is_dir():  # of /proc, or of a folder that was removed meanwhile
-            remedy = "no file can be made there; choose another folder"
+            remedy = "no file can be created there; choose another folder"
         else:
             remedy = f"the folder {str(path.parent)!r} does not exist; create it first"
     elif cause.errno in occupied and os.path.isdir(path):

@@ -175,8 +175,8 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
     pose = layouts.MOTION["right"][0]
     for values, said in (
         ({"side": None}, "does not say which hand it is"),
-        ({"poses": np.zeros((8, 156))}, "a whole body (SMPL-H, 156 numbers"),
-        ({"poses": np.zeros((8, 165)), "side": None}, "a whole body (SMPL-X, 165 numbers"),
+        ({"poses": np.zeros((8, 156))}, "whole-body parameters (SMPL-H, 156 numbers"),
+        ({"poses": np.zeros((8, 165)), "side": None}, "whole-body parameters (SMPL-X, 165 numbers"),
         ({"side": "both"}, "side must be 'right' or 'left'"),
         ({"flat_hand_mean": None}, "add flat_hand_mean, True or False"),
         ({"hand_pose": pose[:, :12]}, "set use_pca = True"),
@@ -186,7 +186,7 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
         ({"fps": None}, "no timestamps"),
         ({"world": "upside_down"}, "world must be camera or one of z_up"),
         ({"side": "left"}, "left hand: the fingers bend out of the back of the hand in "),
-        ({"transl": np.full((8, 3), np.nan)}, "no frame has a hand"),
+        ({"transl": np.full((8, 3), np.nan)}, "no frame shows both the wrist"),
         (
             {
                 "global_orient": np.tile(2 * np.eye(3), (8, 1, 1)),

@@ -65,17 +65,31 @@ def measure_cell(task: tuple[Cell, Settings]) -> Measured:
 
 PER_FINGER: Final = (
     Metric(
-        "tip_error_mm", "mm", "down", "distance between the robot's tip and the aligned human's"
+        "tip_error_mm",
+        "mm",
+        "down",
+        "distance between the robot's fingertip and the aligned human fingertip",
     ),
     Metric("thumb_cosine", "", "->1", "direction of the thumb-to-tip vector"),
     Metric("reach_cosine", "", "->1", "direction of the wrist-to-tip vector"),
-    Metric("motion_preservation", "", "->1", "direction of the tip's motion"),
-    Metric("flatness", "m²", "down", "squared second difference of the tip, at this rate"),
+    Metric("motion_preservation", "", "->1", "direction of the fingertip's motion"),
     Metric(
-        "pinch_touch_share", "", "up", "fraction of the human's pinches in which surfaces touch"
+        "flatness",
+        "m²",
+        "down",
+        "squared second difference of the fingertip position, at this frame rate",
     ),
     Metric(
-        "workspace_utilisation", "", "up", "fraction of the tip's reachable set that was visited"
+        "pinch_touch_share",
+        "",
+        "up",
+        "fraction of the human's pinches in which the robot's surfaces touch",
+    ),
+    Metric(
+        "workspace_utilisation",
+        "",
+        "up",
+        "fraction of the fingertip's reachable positions that were visited",
     ),
 )
 """Metrics of single fingers. They always use the sound definition."""
@@ -155,7 +169,7 @@ class Latency:
             "warm_up": self.warm_up,
             "load_average": self.load,
             "other_processes": self.others,
-            "measured": "alone, methods alternating",
+            "measured": "with nothing else running, alternating between methods",
             "reason": self.reason,
         }
 
@@ -227,7 +241,7 @@ class _Run:
 def _built(cell: Cell, seed: int) -> Retargeter:
     built, _ = built_for(cell.plan(seed))
     if not isinstance(built, Retargeter):
-        raise ConfigError("it solves whole recordings, so single frames have no latency")
+        raise ConfigError("this method solves whole recordings, so single frames have no latency")
     return built
 
 

@@ -220,8 +220,8 @@ def footnotes(rows: Iterable[Row]) -> list[str]:
             for hand in hands
         ),
         *(
-            f"– touch and deep of {recording}: the human pinches in fewer than {LEAST_PINCHED} "
-            "frames."
+            f"– 'touch' and 'deep' of {recording}: not measured, because the human pinches in "
+            f"fewer than {LEAST_PINCHED} frames."
             for recording in recordings
             if recording not in pinched
         ),
@@ -372,7 +372,7 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
         if measured
         else _use("pinching and grasping", running, running, _TOUCH, (_TOUCH,), ""),
         _use("pointing as the human does", running, running, _COSINE, (_COSINE,), ""),
-        _use("calm motion that keeps up", moving, running, _FLATNESS, (_FLATNESS, _MOTION), still),
+        _use("calm motion without lag", moving, running, _FLATNESS, (_FLATNESS, _MOTION), still),
         _use("speed", running, running, _LATENCY, (_LATENCY,), ""),
     ]
 
@@ -409,7 +409,7 @@ def _use(
     """Chooses the best of ``lines``. If one of ``every`` has a better value, it is also named."""
     measured = [line for line in lines if line.values.get(by.name) is not None]
     if not measured:
-        return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
+        return Use(name, (), why_none if not lines else f"{_words(by)} was not measured")
     tops = best(measured, by) or set(range(len(measured)))
     top = measured[min(tops)]
     figures = ", ".join(f"{_words(m)} {_with_unit(m, top)}" for m in shown)

@@ -207,11 +207,10 @@ def parse_request(
             tracker = option.lower()
         else:
             raise ConfigError(
-                f"{text!r}: {option!r} is not a setting of a recording; after the @ you can "
-                "write a range of frames (:500), a rate (60hz), a side (left), an order of "
-                f"landmarks (mano), a tracker ({', '.join(TRACKERS)}, mediapipe) or, for the "
-                "built-in operator, the length of its hand (17.5cm) and its tempo (1.2x), "
-                "separated by commas"
+                f"{text!r}: {option!r} is not a setting of a recording; after the @ you can write "
+                "a range of frames (:500), a rate (60hz), a side (left), a landmark order (mano), "
+                f"a tracker ({', '.join(TRACKERS)}, mediapipe) or, for the synthetic hand, its "
+                "length (17.5cm) and its tempo (1.2x), separated by commas"
             )
     if frames is not None:
         frame_slice(frames, None)  # refuses an invalid range before anything is read
@@ -223,7 +222,7 @@ def parse_request(
         return Request(None, int(seed), frames, own_rate, side, length, speed, tracker=tracker)
     if length is not None or speed != 1.0:
         raise ConfigError(
-            f"{text!r}: length and tempo are only for the built-in operator, as in "
+            f"{text!r}: length and tempo are only for the synthetic hand, as in "
             f"{SYNTHETIC}:3@17.5cm,1.2x"
         )
     return Request(
@@ -245,7 +244,11 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
     sources = [_load(request) for request in unique]
     if all(source.recording is None for source in sources):
         first = sources[0].error if sources else "no recording was given"
-        more = f" (nor can the {len(sources) - 1} others be read)" if len(sources) > 1 else ""
+        more = (
+            f" (the other {len(sources) - 1} recordings can't be read either)"
+            if len(sources) > 1
+            else ""
+        )
         raise RecordingError(f"{first}{more}")
     names = unique_names([(source.name, source.request.path) for source in sources])
     labelled: dict[str, Source] = {}
@@ -311,7 +314,7 @@ def _load(request: Request) -> Source:
         chosen = recording[cut]
         valid = chosen.valid
         if valid is None or not valid.any():
-            raise RecordingError(f"{request.path}: these frames contain no valid landmark")
+            raise RecordingError(f"{request.path}: none of these frames contains a valid landmark")
     except SmoothOperatorError as error:
         return Source(request, name, error=str(error))
     return Source(

@@ -102,9 +102,15 @@ def _finding(finger: str, segments: Sequence[Segment]) -> Finding:
     sure = max((s.confidence for s in mine), default=0.0)
     note = ""
     if not mine:
-        note = "not found: the tracker's usual gap is used, or the gap is estimated while you work"
+        note = (
+            "no pinch was found, so the tracker's usual gap is used, or the gap is estimated "
+            "during use"
+        )
     elif sure < SURE:
-        note = "found, but too short or unclear: hold the pinch longer and more clearly"
+        note = (
+            "a pinch was found, but it is too short or unclear: hold the pinch longer and more "
+            "clearly"
+        )
     return Finding(finger, mine, sure, note)
 
 

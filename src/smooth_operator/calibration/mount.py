@@ -93,7 +93,7 @@ def find_mount(turning: Float[np.ndarray, "n 7"], sliding: Float[np.ndarray, "m 
         if len(part) < MIN_FRAMES:
             raise RecordingError(
                 f"{len(part)} poses of the tracker arrived while the hand {name}; at least "
-                f"{MIN_FRAMES} are needed. Keep the tracker in view of its base stations or cameras"
+                f"{MIN_FRAMES} are needed. Keep the tracker in view of the base stations or cameras"
             )
     offset, residual, turn = _pivot(turning)
     mean, tilt = _mean_rotation(poses.rotation_matrices(sliding[:, 3:]))

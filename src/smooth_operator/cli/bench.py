@@ -95,7 +95,7 @@ def print_results(rows: Sequence[Row]) -> None:
     if any(row["status"] == "ok" for row in rows):
         hidden = len(columns()) - len(shown)
         more = counted(hidden, "more column") if hidden else ""
-        more = more and f"; the report and wider terminals show {more}"
+        more = more and f"; the report shows {more} too, and so do wider terminals"
         console.print(f"* best{more}", style="dim")
     for footnote in footnotes(rows):
         console.print(Text(footnote), soft_wrap=True)
@@ -107,7 +107,7 @@ def print_comparison(comparison: Comparison) -> None:
     """Prints how the main metrics of each cell differ from those of an earlier benchmark."""
     console = output_console()
     shown = _columns(console)
-    table = _empty(f"this minus {comparison.name}", "cell", shown)
+    table = _empty(f"this benchmark minus {comparison.name}", "cell", shown)
     for cell in comparison.cells:
         recording, hand, side, method, preset = cell.key
         values = []

@@ -22,21 +22,22 @@ table), plots/, and cells/ (the commands of each row). Run the same command agai
 stopped run; unchanged results are not measured again. Latency is measured at the end, when no other
 work is running.
 
-A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in operator.
-Default: synthetic. Settings of one recording follow its name after an @: glove.npz@:500 (frames),
-video.npz@30hz (rate), video.npz@30hz,left,camera,100:900. Results are averaged over the
+A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in synthetic
+hand. Default: synthetic. Settings of one recording follow its name after an @: glove.npz@:500
+(frames), video.npz@30hz (rate), video.npz@30hz,left,camera,100:900. Results are averaged over the
 recordings of each tracker (glove, headset, camera), then over trackers. Write mediapipe instead
-of camera if the tracker was MediaPipe; its pinch gaps are built in.
+of camera if the tracker was MediaPipe: the gaps that it usually reports between a touching thumb
+and finger are then corrected.
 
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` selects each
 method with its default preset.
 
-Exit status: 0 everything was measured, 1 some cells failed (the report says which and why), 2 the
+Exit status: 0 everything was measured, 1 some rows failed (the report says which and why), 2 the
 request is invalid, 130 stopped by the user.
 
 Examples:
   smooth-operator bench --output out
-      compare all methods on the built-in operator and the default hand
+      compare all methods on the built-in synthetic hand and the default robot hand
   smooth-operator bench glove.npz video.npz@30hz --methods sbr,sbr:paper,dexpilot --output out
       compare three methods on your own recordings
   smooth-operator bench glove.npz@:500 --methods all --output new --compare old/results.json

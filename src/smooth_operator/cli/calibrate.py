@@ -37,7 +37,7 @@ OPERATOR.report.json.
 
 With --wrist-source, the program finds where a tracker sits on the glove: the operator turns the
 hand about the wrist, then slides the flat hand along a table. The result is added to OPERATOR.json;
-each hand has its own (docs/how-to/trackers.md).
+calibrate each hand\nseparately (docs/how-to/trackers.md).
 
 Examples:
   smooth-operator calibrate glove.npz --output operator.json
@@ -150,9 +150,7 @@ def _calibrate_pinches(options: Calibrate) -> None:
     segments: list[Segment] | None = None
     if options.source is None:
         if options.recording is None:
-            raise ConfigError(
-                "there is nothing to calibrate: name a recording, or a live source with --source"
-            )
+            raise ConfigError("name a recording to calibrate from, or a live source with --source")
         reading = {"rate": options.rate, "side": options.side, "layout": options.layout}
         recording = read_shown(options.recording, progress, options.frames, **reading)
     else:

@@ -81,13 +81,13 @@ SUMMARY: Final = (
         1.0,
         "A robot fingertip jumps in {:.3g} of 1,000 frames (good: up to {:.3g})",
         "There are too few frames to detect jumps",
-        "check the jumps with smooth-operator view; the tracker may have jumped as well",
+        "look at the jumps with smooth-operator view; the tracker may have jumped too",
     ),
     Figure(
         "latency_ms.p99",
         None,
-        "Of 100 commands, 99 took at most {:.3g} ms (good: up to {:.3g} ms, the time "
-        "between two frames)",
+        "99 of 100 commands took at most {:.3g} ms (good: up to {:.3g} ms, the time between two "
+        "frames)",
         "Computation time was not measured",
         "smooth-operator doctor shows what slows this machine down",
     ),
@@ -299,7 +299,7 @@ def print_summary(
         mark, style = ("good", "green") if enough else ("look", "yellow")
         if not enough:
             if figure.method not in ("", method):
-                advice[f"--method {figure.method} avoids self-collision"] = None
+                advice[f"use --method {figure.method} to avoid self-collision"] = None
             advice[figure.advice] = None
         times = 100 if "%" in figure.sentence else 1
         table.add_row(Text(mark, style), figure.sentence.format(times * value, times * good))

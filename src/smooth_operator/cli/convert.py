@@ -220,9 +220,9 @@ def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
         return [options.output]
     if named:
         raise ConfigError(
-            f"the inputs hold {len(sources)} episodes, which do not fit into the single file "
-            f"{options.output.name!r}; for one file per episode, name a folder and add --to "
-            f"{to}; for a LeRobot dataset, name a folder"
+            f"the inputs contain {len(sources)} episodes, which do not fit into the single file "
+            f"{options.output.name!r}; for one file per episode, name a folder and add --to {to}; "
+            "for a LeRobot dataset, name a folder"
         )
     alone = len(options.inputs) == 1 and sources[0].path == options.inputs[0]
     targets = [
@@ -277,9 +277,9 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
     if not commands.is_dir():
         if len(sources) > 1:
             raise ConfigError(
-                f"the inputs hold {len(sources)} episodes, but {commands} holds the "
-                "commands of one; give the folder of their results, in which each result "
-                "has the name of its recording"
+                f"the inputs contain {len(sources)} episodes, but {commands} contains the commands "
+                "of only one; name the folder with all results, in which each result is named "
+                "after its recording"
             )
         return [commands]
     files = [commands / source.relative.with_suffix(".npz") for source in sources]

@@ -63,9 +63,9 @@ def _print(summary: Summary, request: DatasetRequest) -> None:
     if summary.shard is not None:
         number, count = summary.shard
         say(
-            f"share {number} of {count}: {counted(summary.clips, 'clip')} "
-            f"({counted(summary.frames, 'frame')}), {len(summary.failed)} failed; when all "
-            "shares are done, run with --merge"
+            f"shard {number} of {count}: {counted(summary.clips, 'clip')} "
+            f"({counted(summary.frames, 'frame')}), {len(summary.failed)} failed; when all shards "
+            "are done, run with --merge"
         )
         return
     if summary.reasons:

@@ -21,19 +21,19 @@ or .jsonl: path and optionally task, side, layout and rate), or an address of ob
 
 Both hands of a clip are retargeted. An episode has the joints and wrist poses of both robot
 hands, a validity flag for each frame, a description of the task, its source files with their
-digests, and quality figures. Clips are cut where no hand is seen or the tracker jumps; episodes
+digests, and quality metrics. Clips are cut where no hand is seen or the tracker jumps; episodes
 outside the limits (--min-..., --max-...) are dropped. With --whole, clips are never cut.
 
-FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept,
-dropped and why; work holds the retargeted clips. Run the same command again to resume a run that
-was stopped or killed, or to add new files. If you change only limits
-or format, nothing is retargeted again.
+FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept
+and dropped, and why; work holds the retargeted clips. Run the same command again to resume a run
+that was stopped or killed, or to add new files. If you change only the limits or the format,
+nothing is retargeted again.
 
 Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos
   webdataset   tar files, one sample per clip
   parquet      Parquet files, one row per clip
-  npz          files of commands like those that retarget writes, one per hand
+  npz          command files like those that retarget writes, one per hand
   spider, flashdex (after: pip install ./packages/smooth_hand_datasets)
 
 Examples:
@@ -43,8 +43,8 @@ Examples:
   smooth-operator dataset egodex/ --hand leap_hand --max-collision 0.05 --output out
 """
 
-    more: ClassVar[str] = """To use several machines, start a job for each share (here the third of
-16), and merge at the end:
+    more: ClassVar[str] = """To use several machines, start a job for each shard (here the third of
+16), and merge the shards at the end:
   smooth-operator dataset /nfs/egodex --hand leap_hand --shard 3/16 --output /nfs/out
   smooth-operator dataset /nfs/egodex --hand leap_hand --merge --output /nfs/out
 

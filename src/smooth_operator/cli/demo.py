@@ -29,7 +29,7 @@ class Demo(Common, Page, Meshes, Retargeting, Synthetic, Measured):
 
     work: ClassVar[str] = "smooth_operator.cli.demo:demo"
     details: ClassVar[str] = """Writes to the folder: commands.npz and commands.json (the resolved
-configuration), log.mcap (operator and commands), metrics.json, config.json and plots/.
+configuration), log.mcap (human hand and commands), metrics.json, config.json and plots/.
 
 Examples:
   smooth-operator demo --no-view --duration 5
@@ -95,7 +95,7 @@ def demo(options: Demo) -> None:
         config = configuration("demo", todo, operator=operator, duration=options.duration)
         with progress.waiting("writing"), staged(options.output) as folder:
             _write(folder, todo, outcome, metrics, config)
-    heading = f"the built-in operator on {title}"
+    heading = f"the synthetic hand on {title}"
     if options.all:
         print_metrics(heading, metrics)
     else:
@@ -109,7 +109,7 @@ def demo(options: Demo) -> None:
 _FOLLOWING: Final = (
     "Next: try smooth-operator teleop (the live page), or retarget your own recording: "
     "smooth-operator retarget RECORDING --output out.npz",
-    "For all metrics, use --all or see metrics.json in the folder",
+    "To see all metrics, use --all, or open metrics.json in the folder",
 )
 
 

@@ -89,8 +89,8 @@ def _advice(report: Mapping[str, object]) -> list[str]:
         )
     if report["device"] not in ("cpu", None):
         advice.append(
-            f"frames run on {report['device']}, which is efficient for many hands; for one "
-            "hand, try JAX_PLATFORMS=cpu"
+            f"frames run on {report['device']}, which is efficient for many hands at once; for a "
+            "single hand, try JAX_PLATFORMS=cpu"
         )
     return advice
 
@@ -136,7 +136,7 @@ def _why_not_kept() -> str:
         problem = folder_problem(user_cache() / "programs")
     except OSError:
         problem = ""
-    return problem or f"{str(user_cache())!r} can't be written"
+    return problem or f"{str(user_cache())!r} is not writable"
 
 
 def _version(name: str) -> str | None:

@@ -19,8 +19,8 @@ class Edit(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.edit:edit"
     details: ClassVar[str] = """Times are seconds since the first frame or command. The
-original takes are not changed. The new ones contain the history of their edits, and can be read
-like any other take.
+original recordings are not changed. The new ones contain the history of their edits, and can be
+read like any other recording.
 
 Examples:
   smooth-operator edit takes/pour.mcap --keep 1.5:8 --output takes/pour-short.mcap
@@ -54,7 +54,9 @@ def edit(options: Edit) -> None:
     from smooth_operator.teleop.recording.log_reader import read_log
 
     if not options.takes:
-        raise ConfigError("name a take: smooth-operator edit a.mcap --keep 1:8 --output b.mcap")
+        raise ConfigError(
+            "name a recording: smooth-operator edit a.mcap --keep 1:8 --output b.mcap"
+        )
     changes = Changes(
         tuple(map(as_range, options.keep)),
         tuple(map(as_range, options.drop)),

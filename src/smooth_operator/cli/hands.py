@@ -77,7 +77,7 @@ class Hands(Group):
   smooth-operator hands show shadow_hand
   smooth-operator hands render leap_hand --side left --output leap.png
 
-Each has its own help: smooth-operator hands show --help"""
+Each subcommand has its own help: smooth-operator hands show --help"""
 
     what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
     """Subcommand."""
@@ -123,7 +123,9 @@ def list_hands(options: List) -> None:
         )
     console.print(table)
     if makers:
-        table = plain_table("Model from the maker's repository: smooth-operator hands add NAME")
+        table = plain_table(
+            "The model is in the maker's repository: smooth-operator hands add NAME"
+        )
         for header in ("name", "sides", "maker", "repository"):
             table.add_column(header, no_wrap=header == "name")
         for row in makers:

@@ -116,7 +116,7 @@ def add_hand(options: Add) -> None:
         options = _of_maker(options)
     elif options.from_ is not None:
         raise ConfigError(
-            f"--from is for a hand with its model in its maker's repository "
+            "--from is for hands whose models are in their makers' repositories "
             f"({', '.join(MAKERS_HANDS)}), not for {options.model}; leave it out"
         )
     if str(options.model).startswith(PREFIX):
@@ -171,7 +171,7 @@ def _add_hand(options: Add, model: OpenModel) -> None:
     file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
     if not options.overwrite and file.exists() and not _same(file, discovery.spec):
         raise ConfigError(
-            f"there is a {discovery.spec.side} hand {discovery.spec.name!r} already, in "
+            f"there already is a {discovery.spec.side} hand {discovery.spec.name!r}, in "
             f"{file}: use --overwrite to replace it, or --name to choose another name"
         )
     save_hand(discovery.spec, comment=_comment(discovery), copy=changed or not options.in_place)
@@ -352,8 +352,8 @@ def _motors_note(hand: Hand) -> str | None:
     if hand.couplings or len(hand.actuated) == 1:
         return None
     return (
-        f"the model has {len(hand.actuated)} joints and no couplings: check the maker's number of "
-        "motors. If it is smaller, set the joints that follow another one with --couple"
+        f"the model has {len(hand.actuated)} joints and no couplings: check how many motors the "
+        "maker states. If there are fewer, use --couple to set which joints follow another one"
     )
 
 
@@ -428,11 +428,17 @@ def _print(discovery: Discovery, file: Path, used: Path, twin: str | None, whole
     for note in discovery.notes:
         say(f"Note: {note}")
     if discovery.unsure:
-        say("Check the items marked ? or !, the least certain first. To override one, add:")
+        say(
+            "Check the items marked ? or !, which are listed least certain first. To override "
+            "one, add:"
+        )
         for finding in discovery.unsure:
             say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
     else:
-        say("To override a property: --side, --palm, --thumb, --finger, --tip, --wrist, --couple")
+        say(
+            "To override a property, use --side, --palm, --thumb, --finger, --tip, --wrist, "
+            "--couple"
+        )
     if used != discovery.spec.model:
         say(
             f"Copied the model and the files that it uses to {used.parent}. You may move or "

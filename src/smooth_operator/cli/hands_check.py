@@ -99,7 +99,7 @@ def check_hand_command(options: Check) -> None:
             print_scorecard(options, track)
         return
     if options.out is not None:
-        raise ConfigError("--out writes the page of a scorecard; add --scorecard")
+        raise ConfigError("--out writes the scorecard's page, so add --scorecard")
     with bar:
         validation = check_hand(
             options.hand,
@@ -137,5 +137,6 @@ def _print(validation: HandValidation) -> None:
     if warned:
         summary += f", {warned} warning{'s' * (warned > 1)}"
     console.print(
-        f"{summary}. ✓ ok  ? warning  ! failed  · measured, not judged  – not checked", markup=False
+        f"{summary}. ✓ ok  ? warning  ! failed  · measured, but not judged  – not checked",
+        markup=False,
     )

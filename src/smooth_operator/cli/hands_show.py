@@ -174,19 +174,19 @@ def _print_tables(hand: Hand) -> None:
     def say(text: str) -> None:
         console.print(text, markup=False, soft_wrap=True)
 
-    mirrored = ", the mirror image of the published hand" if spec.mirror else ""
+    mirrored = ", a mirror image of the published hand" if spec.mirror else ""
     say(f"{hand.name}: {spec.side} hand{mirrored}")
     if spec.source:
         say(spec.source)
     say(
-        f"{len(hand.fingers)} fingers; {len(hand.actuated)} joints actuated of "
-        f"{len(hand.joint_names)}; aligned by {', '.join(spec.align)}"
+        f"{len(hand.fingers)} fingers; {len(hand.actuated)} of {len(hand.joint_names)} joints "
+        f"actuated; aligned by {', '.join(spec.align)}"
     )
 
     if spec.wrist_joints:
         say(f"wrist joints: {', '.join(spec.wrist_joints)}")
 
-    say("\njoints, in the order of the model, wrist joints last")
+    say("\njoints, in the order of the model, with wrist joints last")
     whole = with_wrist_joints(hand)
     joints, torques = plain_table(), _torques(whole)
     headers = ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "torque [N m]", "follows")
@@ -204,7 +204,7 @@ def _print_tables(hand: Hand) -> None:
         )
     console.print(joints)
 
-    say("landmarks in the palm frame, neutral pose [mm]")
+    say("landmarks in the palm frame, in the neutral pose [mm]")
     points = zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True)
     rows = ((name, *(f"{1e3 * value + 0.0:.1f}" for value in at)) for name, at in points)
     console.print(plain_table(None, ("landmark", "x", "y", "z"), rows, left=1))

@@ -23,9 +23,9 @@ class Latency(Common):
            be measured, because the clocks of tracker and computer are not compared
   receive  from the arrival of the frame until the loop takes it
   solve    alignment and retargeting, one compiled program
-  limit    limits of position, velocity and acceleration, coupled joints
-  send     until every sink has the command
-  contact  age of the newest contact of the robot's fingers, which --feedback sends
+  limit    position, velocity and acceleration limits, coupled joints
+  send     until every sink has received the command
+  contact  age of the newest finger contact that --feedback sends
 The sum of receive, solve, limit and send is the delay that the loop adds.
 
 Examples:
@@ -75,7 +75,7 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
     console.print(plain_table(str(path), ("[ms]", *_SHOWN), cells, left=1))
     parts = [counted(timing["commands"], "command")]
     if "rate_hz" in timing:
-        parts.append(f"{timing['frames_answered']} of them for new frames")
+        parts.append(f"{timing['frames_answered']} of them computed from new frames")
         parts.append(f"{timing['duration_s']:.1f} s at {timing['rate_hz'] or 0:.1f} Hz")
         if "contact_rate_hz" in timing:
             parts.append(f"contact measured at {timing['contact_rate_hz']:.1f} Hz")
@@ -84,4 +84,4 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
     for event, count in timing.get("events", {}).items():
         console.print(f"  {count:6d} × {event}", markup=False)
     if timing["truncated"]:
-        console.print("the end of the log is missing; the timing is that of the part that exists")
+        console.print("the end of the log is missing; the times are those of the part that exists")

@@ -197,9 +197,9 @@ class _Held(io.StringIO):
 
 EXAMPLES: Final = """Examples:
   smooth-operator demo
-      retarget the built-in operator, print five metrics and play the result in the browser
+      retarget a synthetic human hand, print five metrics and play the result in the browser
   smooth-operator sample hand.npz
-      record the built-in operator, as input for the other commands
+      write a recording of the synthetic hand, as input for the other commands
   smooth-operator retarget glove.npz --output out.npz
       convert a recording to joint commands, and print quality checks
   smooth-operator dataset egodex/ --hand leap_hand --output out
@@ -207,7 +207,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       drive a hand live from a tracker, with motion limits and a live page
   smooth-operator edit take.mcap --keep 1.5:8 --output short.mcap
-      cut and mark a take, and write the result as a new take
+      cut and mark a recording made with teleop, and write the result to a new file
   smooth-operator view out.npz glove.npz
       show the commands and the recorded hand side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
@@ -215,7 +215,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator bench glove.npz --methods all --output out
       compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json
-      measure the gaps that a tracker leaves in an operator's pinches; writes a file for --operator
+      measure how far apart a tracker reports a touching thumb and finger, for --operator
   smooth-operator train geort glove.npz --output my-geort
       train a learning-based method for a hand and an operator
   smooth-operator hands list
@@ -273,8 +273,10 @@ COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
     elsewhere={
-        name: f"a command of {owner}, which is not installed; in a clone of the repository, run: "
-        f"{line}"
+        name: (
+            f"this command belongs to {owner}, which is not installed; in a clone of the "
+            f"repository, run: {line}"
+        )
         for name, (owner, line) in _DISTRIBUTIONS.items()
     },
 )

@@ -60,7 +60,7 @@ def _go_through(
         health = source.health()
         if health.state in ("failed", "ended") or mailbox.clock() - last_stamp > _PATIENCE_S:
             raise SourceError(
-                f"{source.label}: no {session.side} hand is tracked any more "
+                f"{source.label}: the {session.side} hand is no longer tracked "
                 f"({100 * moment.done:.0f} % completed); {health.detail or health.state}"
             )
 

@@ -35,9 +35,10 @@ written with it, as OUT.json.
 
 For a folder, all recordings (including subfolders) are retargeted, several in parallel. The
 folder of --output has the same structure. Its report.json lists the counts and the failures; its
-episodes.jsonl has one line per recording, with quality figures. latency_ms is NaN. Run
-the same command again to continue after a stop, or to add new recordings: finished results
-are kept, unless their recording, settings, robot hand or this program's code have changed.
+episodes.jsonl has one line per recording, with quality metrics. Latency is not measured for a
+folder, so latency_ms is NaN. Run the same command again to continue after a stop, or to add new
+recordings: finished results are kept, unless their recording, settings, robot hand or this
+program's code have changed.
 
 Exit status: 0 done, 1 some recordings of the folder failed (the others are done), 2 the
 request is invalid, 130 stopped.
@@ -121,7 +122,7 @@ def retarget(options: Retarget) -> None:
     for name in ("workers", "cluster"):
         if getattr(options, name) is not None:
             raise ConfigError(
-                f"--{name} is for a folder of recordings; {options.recording} is not a folder"
+                f"--{name} is only for a folder of recordings; {options.recording} is not a folder"
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording, options.overwrite)
@@ -150,7 +151,8 @@ def retarget(options: Retarget) -> None:
     held = int((outcome.commands.status != Status.OK).sum())
     if held:
         done = (
-            "had no usable hand: short gaps are bridged; in longer ones the last pose is held"
+            "had no usable hand: short gaps are bridged, and in longer gaps the robot holds its "
+            "last pose"
             if isinstance(todo.config, TrajectoryMethodConfig)
             else "repeat the last good command"
         )
@@ -226,8 +228,8 @@ def retarget_folder(options: Retarget, folder: Path) -> None:
         file_kind(folder)  # raises an error that names the command for a data set
     if output.suffix == ".npz" and not output.is_dir():
         raise OutputError(
-            f"can't write {str(output)!r}: {folder} is a folder of recordings, so "
-            "its results need a folder; name a folder"
+            f"can't write {str(output)!r}: {folder} is a folder of recordings, so the results need "
+            "a folder too; name a folder with --output"
         )
     request = _request(options)
     make_shown(

@@ -21,8 +21,8 @@ class Sample(Common, Synthetic, Quiet):
     """Write a recording of the built-in synthetic hand, as input for the other commands."""
 
     work: ClassVar[str] = "smooth_operator.cli.sample:sample"
-    details: ClassVar[str] = """The hand opens, closes, pinches, spreads and moves its fingers in
-turn. --seed determines its proportions and motion: the same seed gives the same file.
+    details: ClassVar[str] = """The hand opens, closes, pinches, spreads its fingers and moves them
+one by one. --seed determines its proportions and motion: the same seed gives the same file.
 
 Examples:
   smooth-operator sample hand.npz

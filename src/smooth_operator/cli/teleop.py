@@ -40,8 +40,9 @@ To use your own class, write package.module:Class instead of a name: mylab.drive
 
 Without tracker frames, the hand holds its pose, then moves to its neutral pose; when frames arrive
 again, it returns smoothly. Joint positions, velocities and accelerations are always limited. If the
-tracker measures the wrist, the robot's wrist repeats the motion of the operator's wrist since it
-was engaged. To move further than your arm reaches: pause, move your hand back, resume.
+tracker measures the wrist, the robot's wrist repeats the motion that the operator's wrist has made
+since the clutch was engaged. To move further than your arm reaches: pause, move your hand back,
+resume.
 
 Exit status: 0 done, 1 a sink failed (the summary says which), 2 a source, sink or other part can't
 be opened, 130 stopped by Ctrl-C or another signal."""
@@ -103,7 +104,7 @@ def teleop(options: Teleop) -> None:
 
     if options.no_view and options.model is not None:
         raise ConfigError(
-            "--model sets what the page draws, and --no-view disables the page; remove one of them"
+            "--model sets what the page draws, but --no-view disables the page; remove one of them"
         )
     page = PageSettings(
         options.host,

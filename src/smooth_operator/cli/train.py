@@ -29,7 +29,7 @@ class Train(Ordered, Common, Quiet):
 model.json (how it was trained), losses.csv and checkpoint.npz. Ctrl-C keeps all of them; the same
 command with --resume continues and gives the same bytes as an uninterrupted training.
 
-In a good recording the hand opens, closes, spreads and pinches for at least a minute.
+In a good recording, the hand opens, closes, spreads and pinches for at least a minute.
 
 Examples:
   smooth-operator train geort glove.npz --hand mimic_p050 --output my-geort

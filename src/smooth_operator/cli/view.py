@@ -33,7 +33,7 @@ class View(Common, Page, Ordered, Meshes):
         str
     ] = """Commands and frames are matched by their timestamps. Several files of commands for the
 same frames and the same hand are shown side by side, each labelled with its method; the human hand
-is aligned as by the first method.
+is aligned with the settings of the first method.
 
 Examples:
   smooth-operator view out.npz glove.npz
@@ -81,7 +81,7 @@ def view(options: View) -> None:
     *outs, source = options.files
     if not outs:
         raise ConfigError(
-            "view takes commands and then their recording, such as out.npz glove.npz; only "
+            "view needs files of commands and then the recording, such as out.npz glove.npz; only "
             f"{str(source)!r} was given"
         )
     runs = [_run(options, out, source) for out in outs]
@@ -89,8 +89,8 @@ def view(options: View) -> None:
     if len(hands) > 1:
         (one, first), (other, second) = list(hands.items())[:2]
         raise HandModelError(
-            f"{first} is for the hand {one!r} and {second} of {other!r}; only results of the "
-            "same hand can be compared"
+            f"{first} is for the hand {one!r}, but {second} is for {other!r}; only results "
+            "of the same hand can be compared"
         )
     labels = ["robot"] if len(runs) == 1 else _labels(runs)
     hand = runs[0].hand
@@ -160,9 +160,8 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     hand = load_hand(name, recording.side, fingers=_fingers(options, config))
     if not has_joints(hand, commands.joint_names):
         raise HandModelError(
-            f"{out} holds commands for the joints {', '.join(commands.joint_names)}, "
-            f"but the hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand "
-            "with --hand"
+            f"{out} contains commands for the joints {', '.join(commands.joint_names)}, but the "
+            f"hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand with --hand"
         )
     trace = assemble_trace(recording, commands, hand, _alignment(config))
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)

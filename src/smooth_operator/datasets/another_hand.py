@@ -90,8 +90,9 @@ def find_dataset(name: str) -> Path:
         if is_dataset(folder):
             return folder
     raise RecordingError(
-        f"{name}: no LeRobot data set (a folder with meta/info.json), neither here nor in {home}; "
-        f"download it first: hf download {name} --repo-type dataset --local-dir FOLDER"
+        f"{name}: there is no LeRobot data set of this name (a folder with meta/info.json), "
+        f"neither here nor in {home}; download it first: hf download {name} --repo-type dataset "
+        "--local-dir FOLDER"
     )
 
 
@@ -198,7 +199,7 @@ def _checked(source: Path, request: RetargetRequest) -> tuple[Dataset, tuple[Sid
         )
     if not sides:
         raise RecordingError(
-            f"{source}: it has only the {there[0]} human hand, but side {request.side!r} was "
+            f"{source}: it contains only the {there[0]} human hand, but side {request.side!r} was "
             f"requested; use --side {there[0]}"
         )
     return dataset, sides

@@ -63,8 +63,8 @@ def gpu_name() -> str:
         (device, *_) = jax.devices("gpu")
     except RuntimeError as error:
         raise ConfigError(
-            f"--device gpu needs a GPU that JAX can use; it sees only {jax.devices()[0]} "
-            "(`smooth-operator doctor` says why). Without it: --device cpu"
+            f"--device gpu needs a GPU that JAX can use; JAX sees only {jax.devices()[0]} "
+            "(`smooth-operator doctor` says why). To use the CPU, set --device cpu"
         ) from error
     return str(device.device_kind)
 
@@ -218,7 +218,7 @@ def make_dataset(
         finished = {} if again else _finished(Store(work), items, recipe)
         before = len(finished)
         left = [item for item in items if item.name not in finished]
-        line = f"{len(left)} to retarget, {before} already done"
+        line = f"{len(left)} clips to retarget, {before} already done"
         if survey.passed_over:
             kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
             line += f"; skipped (unknown format): {kinds}"
@@ -231,7 +231,7 @@ def make_dataset(
                 matters=True,
             )
         if request.merge:
-            missing = "no run has finished it yet; run without --merge to retarget it now"
+            missing = "no run has finished this clip yet; run without --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
         else:
             with (
@@ -254,7 +254,9 @@ def make_dataset(
         shortest = getattr(WRITERS.load(request.format), "shortest", 2)
         for item, result in [*finished.items()]:
             if result.frames < shortest:
-                reasons[item] = f"{item}: it has {result.frames} frames; {shortest} are needed"
+                reasons[item] = (
+                    f"{item}: it has {result.frames} frames; at least {shortest} are needed"
+                )
                 del finished[item]
         names = [item.name for item in items if item.name in finished]
         summary = write_episodes(
@@ -283,7 +285,9 @@ def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
     if not request.sources:
         raise ConfigError("name at least one SOURCE: a folder, a file, a pattern or a list")
     if request.shard is not None and request.merge:
-        raise ConfigError("--shard retargets a share, but --merge only writes; give one of them")
+        raise ConfigError(
+            "--shard retargets a part of the data, but --merge only writes; give only one of them"
+        )
     if request.workers is not None and request.workers < 0:
         raise ConfigError(f"workers must be 0 or more, not {request.workers}")
     WRITERS.load(request.format)  # before anything compiles
@@ -306,7 +310,7 @@ def check_output(request: DatasetRequest, hand: str) -> None:
     report = request.output / REPORT
     if report.exists() and read_configuration(report) is None:
         raise OutputError(
-            f"can't write {str(report)!r}, the report of the run: it contains something else; "
+            f"can't write {str(report)!r}, the report of the run: a different file has that name; "
             "choose another folder or remove it first"
         )
     earlier = hand_in(request.output)

@@ -58,23 +58,33 @@ FIGURES: Final = (
     Figure("confidence", "", "up", "mean confidence reported by the tracker"),
     Figure("valid", "", "up", "share of frames with a valid command from a visible hand"),
     Figure("gap_s", "s", "down", "longest time without a valid command"),
-    Figure("wrist", "", "up", "share of frames with a known pose of the wrist"),
+    Figure("wrist", "", "up", "share of frames with a known wrist pose"),
     Figure(
-        "jump_m_s", "m/s", "down", "largest speed of the human wrist, or of a tip relative to it"
+        "jump_m_s",
+        "m/s",
+        "down",
+        "largest speed of the human wrist, or of a fingertip relative to the wrist",
     ),
     Figure("finger_motion_mm", "mm", "up", "range of the human fingertips' motion in the clip"),
-    Figure("tip_error_mm", "mm", "down", "mean distance of robot and aligned human fingertips"),
-    Figure("tip_error_p95_mm", "mm", "down", "95th percentile of that of the worst finger"),
+    Figure(
+        "tip_error_mm", "mm", "down", "mean distance between robot and aligned human fingertips"
+    ),
+    Figure(
+        "tip_error_p95_mm", "mm", "down", "95th percentile of that distance for the worst finger"
+    ),
     Figure("reach", "", "up", "share of frames in which every robot fingertip is near its target"),
     Figure("collision", "", "down", "share of frames in which links overlap by over 2 mm"),
     Figure("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
-    Figure("joint_step_rad", "rad", "down", "largest step of a joint between two frames"),
+    Figure("joint_step_rad", "rad", "down", "largest change of a joint between two frames"),
     Figure("jerk_rad_s3", "rad/s³", "down", "mean jerk of the joints"),
     Figure("tracking_loss", "", "down", "mean of the method's own objective"),
     Figure("contact_precision", "", "up", "share of the robot's contacts that the human also has"),
     Figure("contact_recall", "", "up", "share of the human's contacts that the robot also has"),
     Figure(
-        "contact_error_mm", "mm", "down", "robot fingertip to object where the human has contact"
+        "contact_error_mm",
+        "mm",
+        "down",
+        "distance from robot fingertip to object where the human has contact",
     ),
     Figure("object_depth_mm", "mm", "down", "depth of the robot hand's deepest point in an object"),
 )
@@ -125,8 +135,8 @@ RULES: Final = (
     Rule("max_jump", "jump_m_s", "a hand jumps at {:.1f} m/s", cuts=True),
     Rule("max_gap", "gap_s", "no hand is seen for {:.1f} s", either=True, cuts=True),
     Rule("max_collision", "collision", "links collide in {:.0%} of the frames"),
-    Rule("max_tip_error", "tip_error_mm", "fingertips are {:.0f} mm off"),
-    Rule("min_reach", "reach", "fingertips reach the human's in {:.0%} of the frames"),
+    Rule("max_tip_error", "tip_error_mm", "robot fingertips are {:.0f} mm off"),
+    Rule("min_reach", "reach", "robot fingertips reach their targets in {:.0%} of the frames"),
 )
 
 

@@ -55,7 +55,9 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
     """Checks that a configuration solves whole recordings, and returns it with the type of such a
     configuration. Raises ConfigError if it solves frame by frame."""
     if not isinstance(config, TrajectoryMethodConfig):
-        raise ConfigError("objects need a preset for whole recordings, such as smooth:offline")
+        raise ConfigError(
+            "clips with objects need a preset for whole recordings, such as smooth:offline"
+        )
     return config
 
 

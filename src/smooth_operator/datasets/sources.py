@@ -250,8 +250,8 @@ def _of_csv(text: str, path: Path) -> Iterator[Item]:
     if "path" not in (table.fieldnames or ()):
         if _is_of_numbers(text):
             raise RecordingError(
-                f"{path}: this is {foreign_file(path)}; a .csv may also be a list of "
-                "recordings, which needs the column 'path'"
+                f"{path}: this is {foreign_file(path)}; if it is meant as a list of recordings, it "
+                "needs the column 'path'"
             )
         raise RecordingError(
             f"{path}: a list needs the column 'path' in its first line, and may have "
@@ -529,15 +529,16 @@ def _lerobot(path: Path) -> str:
         return f"this is {foreign}"
     return (
         "this is a LeRobot data set; convert its episodes first, and use their folder: "
-        f"smooth-operator convert {path} --to npz --output episodes; or keep the data set, with "
-        f"the actions of another robot hand: smooth-operator retarget --dataset {path}"
+        f"smooth-operator convert {path} --to npz --output episodes; or, to keep it as a LeRobot "
+        "data set and replace its actions with those of another robot hand: smooth-operator "
+        f"retarget --dataset {path}"
     )
 
 
 def _unknown(path: Path, layout: str | None) -> str:
     if layout is not None:
         reader = find_reader(layout)
-        return f"it is not {reader.what}; expected {reader.expects}"
+        return f"this is not {reader.what}; expected {reader.expects}"
     missing = [name for name in RESEARCH_LAYOUTS if name not in READERS]
     more = f"; {', '.join(missing)}: {RESEARCH_PACKAGE}" if missing else ""
     try:
@@ -546,7 +547,7 @@ def _unknown(path: Path, layout: str | None) -> str:
         kind = str(error).removeprefix(f"{path}: ")
         if not kind.startswith("not a recording"):
             return kind + (more if "pickle" in kind else "")
-    return f"no reader recognises it; known layouts: {', '.join(clip_readers())}{more}"
+    return f"no reader recognises this file; known layouts: {', '.join(clip_readers())}{more}"
 
 
 def _name(path: Path, root: Path) -> str:

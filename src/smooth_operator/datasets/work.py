@@ -131,8 +131,8 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         recognised = recognise(path, item.layout)
         if recognised is None:
             raise RecordingError(
-                f"{item.address}: no reader recognises it; layouts with several files must be "
-                "copied to a folder first"
+                f"{item.address}: no reader recognises this file; data with several files per clip "
+                "must be copied to a local folder first"
             )
         layout, reader = recognised
         refs = sorted(replace(ref, layout=ref.layout or layout) for ref in reader.clips(path))

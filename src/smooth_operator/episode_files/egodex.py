@@ -145,8 +145,8 @@ def egodex_transforms(
     if stored is None or stored.data is None or stored.shape != (count, 4, 4):
         what = "nothing" if stored is None else f"{stored.type[:80]} {stored.shape}"
         raise RecordingError(
-            f"{path}: a file of EgoDex has {group.name}/{name} with numbers of shape "
-            f"(frames, 4, 4); this one has {what}"
+            f"{path}: an EgoDex file has {group.name}/{name} with numbers of shape (frames, 4, 4); "
+            f"this one has {what}"
         )
     return stored.data.astype(np.float64)
 
@@ -204,7 +204,7 @@ class Egodex:
         tree = read_tree(path)
         if "transforms" not in tree:
             raise RecordingError(
-                f"{path}: not an EgoDex file: it holds {tree['/'].describe()}; expected "
+                f"{path}: not an EgoDex file: it has {tree['/'].describe()}; expected "
                 f"{self.expects}"
             )
         rate = options.rate or RATE_HZ

@@ -134,16 +134,16 @@ def read_hdf5_episode(
         version = top.attributes.get("version", VERSION)
         if version != VERSION:
             raise RecordingError(
-                f"{path}: the file is of version {brief(version)}, this program reads version "
-                f"{VERSION}; upgrade it: {UPGRADE}"
+                f"{path}: the file has format version {brief(version)}, but this program reads "
+                f"version {VERSION}; upgrade the program: {UPGRADE}"
             )
     hand, commands = tree.get("hand"), tree.get("commands")
     if hand is None and commands is None and "transforms" in tree:
         return Episode(read_egodex(tree, path, rate, side), name=path.stem)
     if hand is None and commands is None:
         raise RecordingError(
-            f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', but "
-            f"{top.describe()}. Save its landmarks with numpy.savez, or in a group 'hand' as "
+            f"{path}: an HDF5 file from another program: it has no group 'hand' or 'commands', "
+            f"only {top.describe()}. Save its landmarks with numpy.savez, or in a group 'hand' as "
             "'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
         )
     name = _text_of(top.attributes.get("name")) or path.stem

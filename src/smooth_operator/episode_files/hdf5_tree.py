@@ -188,14 +188,14 @@ def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
         raise _RefusedError(f"its array {data.name} is empty")
     if data.external or data.is_virtual:
         raise _RefusedError(
-            f"the data of {data.name} are stored in other files, which are not read"
+            f"the data of {data.name} are in other files, which this program does not read"
         )
     words = h5py.check_string_dtype(dtype) is not None
     each = max(dtype.itemsize, _TEXT_BYTES if words else 8)
     takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
     if takes > left[0]:
         raise _RefusedError(
-            f"it would take {takes / 1e6:,.0f} MB of memory to read {data.name}, more than is "
+            f"reading {data.name} would take {takes / 1e6:,.0f} MB of memory, more than is "
             f"allowed for a file of this size ({left[0] / 1e6:,.0f} MB are left)"
         )
     numbers: np.ndarray | None = None

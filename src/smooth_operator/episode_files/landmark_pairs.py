@@ -74,7 +74,9 @@ class LandmarksOfBothHands:
         path, arrays = ref.path, open_arrays(ref.path)
         sides = [side for side in SIDES if side in arrays]
         if not sides:
-            raise RecordingError(f"{path}: it holds {arrays.describe()}; expected {self.expects}")
+            raise RecordingError(
+                f"{path}: it contains {arrays.describe()}; expected {self.expects}"
+            )
         shapes = [arrays[side].shape for side in sides]
         if len({shape[:1] for shape in shapes}) > 1:
             raise RecordingError(

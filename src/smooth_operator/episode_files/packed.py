@@ -201,7 +201,8 @@ def _group(file: Any, path: Path, group: int, columns: list[str] | None = None) 
     held = file.metadata.row_group(group)
     if held.total_byte_size > _MOST_GROUP_BYTES:
         raise RecordingError(
-            f"{path}: a row group of {held.total_byte_size >> 20} MB; write it with smaller ones"
+            f"{path}: it has a row group of {held.total_byte_size >> 20} MB, which is too large; "
+            "write the file with smaller row groups"
         )
     return file.read_row_group(group, columns=columns)
 

@@ -73,9 +73,9 @@ class Allowance:
         total = self.total - self.used.get(part, 0) + count
         if total > self.most:
             raise TooLargeError(
-                f"{self.path}: it would take {_size(total)} of memory to read {part[:80]!r}, more "
+                f"{self.path}: reading {part[:80]!r} would take {_size(total)} of memory, more "
                 f"than the {_size(self.most)} allowed for a file of this size; if the file is "
-                "right, save it without compression, or in parts"
+                "correct, save it without compression, or in parts"
             )
         self.used[part], self.total = count, total
 
@@ -101,7 +101,7 @@ def damaged(path: Path, cause: object) -> RecordingError:
     """Returns the error for a file that can't be read to its end."""
     text = reason(cause) or "no detail"
     return RecordingError(
-        f"{path}: the file is damaged or cut off ({text}); copy or record it again"
+        f"{path}: the file is damaged or incomplete ({text}); copy or record it again"
     )
 
 
@@ -156,7 +156,8 @@ class StoredArray:
         """
         if self.shape not in ((), (1,)):
             raise RecordingError(
-                f"{self.path}: array {self.name!r} must hold one string, not {self.shape} of them"
+                f"{self.path}: array {self.name!r} must hold one string, not an array of shape "
+                f"{self.shape}"
             )
         return self.texts()[0]
 
@@ -225,12 +226,12 @@ def _members(archive: zipfile.ZipFile, path: Path, allowance: Allowance) -> dict
     members = archive.infolist()
     if len(members) > _MOST_MEMBERS:
         raise RecordingError(
-            f"{path}: it holds {len(members)} files, but at most {_MOST_MEMBERS} can be "
-            "read; save each recording in its own file"
+            f"{path}: it contains {len(members)} files, but at most {_MOST_MEMBERS} can be read; "
+            "save each recording in its own file"
         )
     pickles = [m.filename for m in members if m.filename.endswith((".pkl", ".pickle"))]
     if pickles:
-        raise RecordingError(f"{path}: it holds the pickle {brief(pickles[0])}; {PICKLE_REMEDY}")
+        raise RecordingError(f"{path}: it contains the pickle {brief(pickles[0])}; {PICKLE_REMEDY}")
     entries = {}
     for member in members:
         if member.filename.endswith(".npy"):

@@ -60,7 +60,7 @@ def checked_hands(
         checked[side] = _of_its_side(hand) if each_frame else hand
     if not checked:
         raise RecordingError(
-            f"{where}: no frame has a hand with its wrist and the middle finger's knuckle; "
+            f"{where}: no frame shows both the wrist and the middle finger's knuckle of a hand; "
             f"expected {expects}"
         )
     return checked

@@ -195,7 +195,7 @@ class Skeleton:
             names = [name for name in self.names if name]
             raise RecordingError(
                 f"no hand with fingers, only joints such as {listed(names[-6:])}; expected "
-                f"{EXPECTS}; switch on the fingers in the program that exports the file"
+                f"{EXPECTS}; enable the fingers in the program that exports the file"
             )
         return hands
 
@@ -248,16 +248,16 @@ class Skeleton:
             finger = FINGERS[int(np.argmin(last_bones))]
             raise RecordingError(
                 f"the End Site of the {side} {finger} is at its last joint, so the fingertip is "
-                "not known; export the skeleton with the lengths of the last bones"
+                "unknown; export the skeleton with the lengths of the last bones"
             )
         length = float(np.linalg.norm(rest[9] - rest[0]) + bones[9:12].sum())
         for unit, scale in _UNITS.items():
             if _HAND_M[0] <= scale * length <= _HAND_M[1]:
                 return scale, unit
         raise RecordingError(
-            f"the {side} hand is {length:.4g} long from the wrist to the middle fingertip; a hand "
-            f"has {100 * _HAND_M[0]:g} to {100 * _HAND_M[1]:g} cm, so its unit is none of "
-            f"{', '.join(_UNITS)}; export the skeleton in centimetres"
+            f"the {side} hand is {length:.4g} long from the wrist to the middle fingertip; human "
+            f"hands have {100 * _HAND_M[0]:g} to {100 * _HAND_M[1]:g} cm, so the file's "
+            f"unit is none of {', '.join(_UNITS)}; export the skeleton in centimetres"
         )
 
     @cached_property
@@ -394,7 +394,7 @@ def read_bvh_hands(
                 f"the file states {stated:g} frames of {skeleton.width} numbers, but it has "
                 f"{len(rows)} frames"
                 + (f", one of {len(wrong)} numbers" if wrong is not None else "")
-                + "; it is cut off or damaged: export it again"
+                + "; the file is incomplete or damaged: export it again"
             )
         stamps = (
             period * np.arange(len(rows))

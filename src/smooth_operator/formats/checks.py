@@ -78,7 +78,7 @@ def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) ->
         suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
     )
     advice = (
-        f"the file says {recording.side}: correct the side, or mirror the points back: "
+        f"the file states the side {recording.side}: correct the side, or mirror the points back: "
         "points * (-1, 1, 1)"
         if labelled
         else remedy(suspicion)
@@ -158,10 +158,10 @@ def _length_hint(palm: float) -> str:
         likely = " or ".join(f"{unit} (multiply by {_LENGTH_UNITS[unit]:g})" for unit in units)
         return f"it looks like {likely}"
     return (
-        "no common unit fits. Landmarks in fractions of a hand must be scaled to the "
+        "no common unit fits. Landmarks in fractions of the hand's size must be scaled to the "
         f"operator's hand (for a palm of {_TYPICAL_PALM_M} m: multiply by "
-        f"{_TYPICAL_PALM_M / palm:.3g}); landmarks in image coordinates can't be used; "
-        "otherwise check the order of the landmarks"
+        f"{_TYPICAL_PALM_M / palm:.3g}); landmarks in image coordinates can't be used; otherwise "
+        "check the order of the landmarks"
     )
 
 
@@ -289,8 +289,8 @@ def check_stamps(
             else "and no other common unit fits; check how the timestamps were written"
         )
         raise RecordingError(
-            f"{where}: by its timestamps the recording has {rate:.4g} frames per "
-            f"second, expected {low:g} to {high:g}; timestamps must be in seconds, {hint}"
+            f"{where}: according to its timestamps, the recording has {rate:.4g} frames per "
+            f"second; expected {low:g} to {high:g}; timestamps must be in seconds, {hint}"
         )
     check_span(stamps, where)
 
@@ -339,9 +339,8 @@ def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
     span = float(stamps[-1]) - float(stamps[0]) if len(stamps) else 0.0
     if span > LONGEST_S:
         raise RecordingError(
-            f"{where}: from the first timestamp to the last there are {span:.3g} s, at most "
-            f"{LONGEST_S:g} s (32 years) are accepted; a timestamp is damaged, or the unit "
-            "is not seconds"
+            f"{where}: the timestamps span {span:.3g} s, but at most {LONGEST_S:g} s (32 years) "
+            "are accepted; a timestamp is damaged, or the unit is not seconds"
         )
 
 
@@ -472,7 +471,7 @@ def frame_slice(text: str, length: int | None) -> slice:
     first, last, _ = slice(start, stop).indices(_LONG if length is None else length)
     if first >= last:
         reason = (
-            "A:B ends before frame B, which must be after A"
+            "in A:B, B must be greater than A"
             if length is None
             else f"the recording has {length} frames, 0 to {length - 1}"
             if length

@@ -113,7 +113,8 @@ class Clip:
         for what, values in rows.items():
             if len(values) != len(stamps):
                 raise RecordingError(
-                    f"{self.name}: {what} has {len(values)} frames, the hands {len(stamps)}"
+                    f"{self.name}: {what} has {len(values)} frames, but the hands have "
+                    f"{len(stamps)}"
                 )
 
     def __len__(self) -> int:
@@ -167,14 +168,14 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
         return clip
     if frame == "world":
         raise RecordingError(
-            f"{clip.name}: its wrists are known only in the frame of the camera; give --frame "
-            "camera, or leave it out for the frame that each clip has"
+            f"{clip.name}: its wrist poses are known only in the camera's frame; use --frame "
+            "camera, or omit --frame to keep each clip's own frame"
         )
     camera = clip.T_world_camera
     if camera is None:
         raise RecordingError(
-            f"{clip.name}: the poses of its camera are not known, so neither are its wrists in the "
-            "camera's frame; give --frame world, or leave it out"
+            f"{clip.name}: its camera poses are unknown, so the wrist poses in the camera's frame "
+            "are unknown too; use --frame world, or omit --frame"
         )
 
     def measured(pose: np.ndarray) -> np.ndarray:

@@ -152,7 +152,7 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
     missing = [key for key in _KEYS if key not in arrays]
     if missing:
         raise RecordingError(
-            f"{path}: not a file of commands: it lacks {', '.join(missing)} (it holds "
+            f"{path}: not a file of commands: it lacks {', '.join(missing)} (it contains "
             f"{arrays.describe()}); expected the OUT.npz that retarget writes"
         )
     _check_shapes({key: arrays[key].shape for key in _KEYS}, str(path))

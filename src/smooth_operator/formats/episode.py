@@ -224,8 +224,8 @@ class Episode:
         count = 0 if self.commands is None else len(self.commands)
         if self.wrist is not None and len(self.wrist) != count:
             raise RecordingError(
-                f"{self.name}: it has {len(self.wrist)} commands of the wrist, but {count} "
-                "of the fingers"
+                f"{self.name}: it has {len(self.wrist)} commands for the wrist, but {count} for "
+                "the fingers"
             )
         for stage, values in self.stages_ms.items():
             if np.shape(values) != (count,):
@@ -307,7 +307,8 @@ class Episode:
             )
         if self.recording is None or self.commands is not None:
             raise RecordingError(
-                f"{self.name}: commands of another file can only be added to a recording, but this "
+                f"{self.name}: commands from another file can only be added to a recording of a "
+                "hand, but this "
                 + ("contains no hand frames" if self.recording is None else "already has commands")
             )
         both = replace(

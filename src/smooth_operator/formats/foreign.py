@@ -24,8 +24,8 @@ _SKELETON: Final = (
     f"{SAVE}. The fingers move only if the hands were tracked during the recording"
 )
 _MARKERS: Final = (
-    "it has markers on the skin, not joints of a hand; fit the joints of a hand to the "
-    f"markers with the program that recorded them, and save 21 joints with {SAVE}"
+    "it contains skin markers, not hand joints; use the program that recorded the markers to fit "
+    f"the joints of a hand to them, and save 21 joints with {SAVE}"
 )
 _BAG: Final = (
     "play it (ros2 bag play FOLDER) and read the topic of the hand live: smooth-operator teleop "
@@ -44,19 +44,19 @@ _STARTS: Final[tuple[tuple[bytes, str], ...]] = (
     (b"\xfd7zXZ\x00", "xz-compressed; unpack it first"),
     (b"\x28\xb5\x2f\xfd", "zstd-compressed; unpack it first"),
     (b"MATLAB", f"a MATLAB file; save its landmarks with {SAVE}"),
-    (b"#ROSBAG", f"a bag of ROS 1; convert it to ROS 2 (rosbags-convert), then {_BAG}"),
+    (b"#ROSBAG", f"a ROS 1 bag; convert it to ROS 2 (rosbags-convert), then {_BAG}"),
     (b"version https://git-lfs", "a Git LFS pointer, not the data; run 'git lfs pull'"),
     (b"Kaydara FBX", f"an FBX file, {_SKELETON}"),
     (b"; FBX", f"an FBX file, {_SKELETON}"),
-    (b"NO_OF_FRAMES", f"a Qualisys table of motion capture: {_MARKERS}"),
-    (b"PathFileType", f"a TRC file of motion capture: {_MARKERS}"),
-    (b"SQLite format 3", f"an SQLite file, as bags of ROS 2 are (.db3); {_BAG}"),
+    (b"NO_OF_FRAMES", f"a Qualisys motion-capture table: {_MARKERS}"),
+    (b"PathFileType", f"a TRC motion-capture file: {_MARKERS}"),
+    (b"SQLite format 3", f"an SQLite file, as ROS 2 bags are (.db3); {_BAG}"),
 )
 _SUFFIXES: Final = {
     ".fbx": f"an FBX file, {_SKELETON}",
     ".mvnx": f"an Xsens MVNX file, {_SKELETON}",
-    ".c3d": f"a C3D file of motion capture: {_MARKERS}",
-    ".trc": f"a TRC file of motion capture: {_MARKERS}",
+    ".c3d": f"a C3D motion-capture file: {_MARKERS}",
+    ".trc": f"a TRC motion-capture file: {_MARKERS}",
     ".db3": f"a bag of ROS 2; {_BAG}",
     ".csv": _TABLE,
     ".tsv": _TABLE,
@@ -96,8 +96,8 @@ def foreign_file(path: Path) -> str | None:
         return None
     if start[:1] in (b"{", b"["):
         if _JSON_ROBOT.search(head):
-            return f"a JSON file of states and actions of a robot: {_ROBOT}"
-        return f"a JSON file of another program; save its landmarks with {SAVE}"
+            return f"a JSON file with the states and actions of a robot: {_ROBOT}"
+        return f"a JSON file from another program; save its landmarks with {SAVE}"
     return _SUFFIXES.get(suffix)
 
 
@@ -133,7 +133,7 @@ def foreign_dataset(path: Path) -> str | None:
         if name.startswith(("action", "observation.state"))
     ]
     what = ", ".join(columns[:3]) or listed(features) or "no columns"
-    return f"a LeRobot data set (version {version}) of {who}, with {what}: {_ROBOT}"
+    return f"a LeRobot data set (version {version}) from {who}, with {what}: {_ROBOT}"
 
 
 def _names_of(feature: Any) -> str:
@@ -157,7 +157,7 @@ def body_parameters(shapes: Mapping[str, tuple[int, ...]]) -> str | None:
         return None
     body = _BODIES[shape[1]]
     return (
-        f"parameters of a whole body ({body}, {shape[1]} numbers per frame), not of a hand; "
-        "compute joints from them with the library smplx, and save the 21 of a hand with "
-        f"{SAVE}"
+        f"whole-body parameters ({body}, {shape[1]} numbers per frame), not the joints of a hand; "
+        "compute joints from the parameters with the library smplx, and save the 21 joints of a "
+        f"hand with {SAVE}"
     )

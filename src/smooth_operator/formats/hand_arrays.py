@@ -156,7 +156,7 @@ def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
         ]
         likely = f"they may be {' or '.join(scales)}" if scales else "no common scale fits"
         raise RecordingError(
-            f"{where}: confidences must be fractions from 0 to 1, but these reach {most:g}; "
+            f"{where}: confidences must be fractions from 0 to 1, but the highest is {most:g}; "
             f"{likely}"
         )
     return np.where(np.isfinite(result), np.clip(result, 0.0, 1.0), np.nan)

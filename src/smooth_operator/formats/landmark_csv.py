@@ -65,12 +65,12 @@ class _Table:
         self._path = path
         self.columns = {name: at for at, name in enumerate(header)}
         if len(self.columns) != len(header):
-            raise RecordingError(f"{path}: the header has a column more than once")
+            raise RecordingError(f"{path}: a column name occurs twice in the header")
         for number, row in enumerate(self._rows, 2):
             if len(row) != len(header):
                 raise RecordingError(
-                    f"{path}: row {number} has {len(row)} cells, the header {len(header)}; the "
-                    "file is damaged or cut off"
+                    f"{path}: row {number} has {len(row)} cells, but the header has {len(header)}; "
+                    "the file is damaged or incomplete"
                 )
 
     def __len__(self) -> int:

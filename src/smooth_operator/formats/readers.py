@@ -317,8 +317,8 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
         names = [item.name for item in cubes or poses]
         what, first = "recordings" if cubes else "single poses", names[0][:40]
         raise RecordingError(
-            f"{path}: it holds {len(names)} {what}, not one recording: {listed(names)}; save "
-            f"one in its own file: numpy.save('{first}.npy', "
+            f"{path}: it contains {len(names)} {what} rather than one recording: {listed(names)}; "
+            f"save one in its own file: numpy.save('{first}.npy', "
             f"numpy.load('{path.name}')['{first}'])"
         )
     if poses:
@@ -367,7 +367,8 @@ def _shape_hint(shape: tuple[int, ...]) -> str:
         return "; if x, y, z come first: array[..., :3]"
     if len(shape) == 3 and shape[1:] == (16, 3):
         return (
-            "; MANO's 16 joints have no fingertips: add those of its mesh, then use --layout mano"
+            "; MANO's 16 joints do not include the fingertips: add the fingertips of MANO's mesh, "
+            "then use --layout mano"
         )
     if shape[-2:] == (4, 4):
         return "; from transforms, save the positions of the hand's joints: array[..., :3, 3]"
@@ -431,7 +432,7 @@ def manus_nodes(
         assumed.append("keypoint_ids")
     else:
         raise RecordingError(
-            f"{where}: a MANUS recording has {_NUM_NODES} nodes, this one {item.shape[1]} "
+            f"{where}: a MANUS recording has {_NUM_NODES} nodes, but this one has {item.shape[1]} "
             "and no 'keypoint_ids' to identify them; export it again with the ids"
         )
 

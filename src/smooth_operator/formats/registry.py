@@ -45,8 +45,9 @@ _HEADSETS: Final = "smooth_operator.headsets.recordings"
 _RECORDING: Final = "smooth_operator.teleop.recording"
 
 RESEARCH_PACKAGE: Final = (
-    "a part of smooth-hand-datasets, research data sets of hands and objects, which is not "
-    "installed; in a clone of the repository: python -m pip install ./packages/smooth_hand_datasets"
+    "part of the distribution smooth-hand-datasets (research data sets of hands and objects), "
+    "which is not installed; in a clone of the repository: python -m pip install "
+    "./packages/smooth_hand_datasets"
 )
 """Advice on the package that contains the research data sets, for messages."""
 
@@ -176,9 +177,11 @@ class Reader:
         )
         notes = []
         if recording.meta.get("side_assumed"):
-            notes.append("the side is not stated; assuming right. Use --side left otherwise")
+            notes.append(
+                "the side is not stated, so right is assumed; if it is a left hand, use --side left"
+            )
         if ignored := recording.meta.get("ignored"):
-            notes.append(f"not read: {listed(ignored)}")
+            notes.append(f"ignored: {listed(ignored)}")
         facts = {NOTES: notes, RATE: rate, ORDER: options.order}
         meta = {name: value for name, value in facts.items() if value}
         return Clip(ref.name, {recording.side: recording}, "files", (ref.path,), meta=meta)
@@ -262,7 +265,7 @@ def with_assumed_side(
 
 _ARRAYS: Final = Entry(f"{_FORMATS}.readers:read_arrays")
 
-NPY: Final = Reader("a .npy of landmarks (T, 21, 3) [m]", _ARRAYS, (NPY_MAGIC,), (".npy",))
+NPY: Final = Reader("a .npy file of landmarks (T, 21, 3) [m]", _ARRAYS, (NPY_MAGIC,), (".npy",))
 NPZ: Final = Reader(
     "a MANUS .npz or an .npz of landmarks", _ARRAYS, (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)
 )
@@ -279,7 +282,7 @@ HDF5: Final = Reader(
     (".h5", ".hdf5"),
 )
 AVP: Final = Reader(
-    "a .jsonl of Tracking Streamer (Vision Pro)",
+    "a .jsonl file of Tracking Streamer (Vision Pro)",
     None,
     tuple(
         f'{{"{key}"'.encode()
@@ -289,7 +292,7 @@ AVP: Final = Reader(
         )
     ),
     (".jsonl",),
-    "lines of JSON with 'timestamp', 'leftHand' and 'rightHand', the hands with 'wrist' and 24 "
+    "lines of JSON with 'timestamp', 'leftHand' and 'rightHand'; each hand has 'wrist' and 24 "
     "joints of 16 numbers each",
     Entry(f"{_HEADSETS}:read_avp_hands"),
 )
@@ -306,7 +309,7 @@ HTS: Final = Reader(
     Entry(f"{_HEADSETS}:read_hts_hands"),
 )
 BVH: Final = Reader(
-    "a .bvh of a body capture with fingers",
+    "a .bvh file of body motion capture with fingers",
     None,
     (b"HIERARCHY", b"\xef\xbb\xbfHIERARCHY"),
     (".bvh",),
@@ -323,7 +326,7 @@ ARIA_CSV: Final = Reader(
     Entry(f"{_FORMATS}.landmark_csv:read_aria_hands"),
 )
 LANDMARK_CSV: Final = Reader(
-    "a .csv of landmarks with a header",
+    "a .csv file of landmarks with a header",
     None,
     tuple(
         f"{mark}{stamp}{side}wrist_x".encode()
@@ -351,9 +354,13 @@ READERS: Final = Registry(
             f"{_EPISODES}.egodex:EGODEX", "EgoDex: HDF5 of both hands, camera and task"
         ),
         "landmarks": Entry(
-            f"{_EPISODES}.landmark_pairs:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"
+            f"{_EPISODES}.landmark_pairs:LANDMARKS_OF_BOTH_HANDS",
+            "an .npz file with 'right' and 'left'",
         ),
-        "parquet": Entry(f"{_EPISODES}.packed:PACKED", "clips in the format 'parquet' of dataset"),
+        "parquet": Entry(
+            f"{_EPISODES}.packed:PACKED",
+            "clips that the command dataset wrote in the format 'parquet'",
+        ),
         "files": Entry(
             f"{_FORMATS}.readers:FILES", "any recording of one hand that 'retarget' reads"
         ),
@@ -469,7 +476,7 @@ def readable() -> str:
     formats = _recording_formats()
     *most, last = (
         "a MANUS .npz",
-        "a .npy or .npz of landmarks (T, 21, 3) [m]",
+        "a .npy or .npz file of landmarks (T, 21, 3) [m]",
         AVP.what,
         HTS.what,
         BVH.what,
@@ -531,8 +538,8 @@ def file_kind(path: Path) -> str:
         )
     if any(magic.startswith(head) for reader in ONE_HAND.values() for magic in reader.magic):
         raise RecordingError(
-            f"{path}: the file is cut off after {len(head)} bytes, before its first frame; record "
-            "or copy it again"
+            f"{path}: the file ends after {len(head)} bytes, before its first frame; record or "
+            "copy it again"
         )
     if pickled:
         raise RecordingError(f"{path}: this is a pickle; {PICKLE_REMEDY}")

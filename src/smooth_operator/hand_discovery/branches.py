@@ -159,7 +159,8 @@ class Branches:
         beside = [self._beside(found, hand, hands) for found in hands]
         if not hands or any(len(b) >= len(h.chains) for b, h in zip(beside, hands, strict=True)):
             # A hand with as many chains beside it is a piece of a finger of a hand with too many.
-            self.reasons.append(f"from {self._skeleton.body_name(palm)!r} branch {fault}")
+            name = self._skeleton.body_name(palm)
+            self.reasons.append(f"{name!r} can't be the palm, because it has {fault}")
             return []
         return [
             replace(found, left_out=(*found.left_out, *outside))
@@ -227,7 +228,7 @@ class Branches:
             if self._given(chain):
                 branch.append(chain)
             elif rival is not None:
-                why = f"{self._name(chain)} is a bar of {self._name(rival)}"
+                why = f"{self._name(chain)} is a linkage bar of {self._name(rival)}"
                 left_out.append(LeftOut(chain.last, why))
             elif self._skeleton.bounded[list(chain.joints)].any():
                 branch.append(chain)
@@ -322,7 +323,7 @@ class Branches:
         if len(chains) < 2:
             return (
                 f"{len(chains)} chains with limited joints"
-                + f" and {pinned} whose joints can't move, with lower = upper in the file"
+                + f" and {pinned} whose joints can't move, because lower = upper in the file"
                 * bool(pinned)
                 + f" and {wheels} that rotate without limits (wheels? finger joints need "
                 "limits in the file)" * bool(wheels)
@@ -478,17 +479,18 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
         return _tip(skeleton.point(body, local), confidence, evidence, world)
     if end is not None:
         body = _outermost(skeleton, rigid, at, end.far)
-        evidence = ["far end of the last link's shape, on its middle line"]
+        evidence = ["far end of the last link's shape, on its centre line"]
         confidence = 0.75
         if end.nail:
             evidence.append(
-                "slightly behind it: the back protrudes like a nail, and the tip should be "
+                "slightly behind that end: the back protrudes like a nail, and the tip should be "
                 "on the pad"
             )
             confidence = 0.6
         if frames:
             evidence.append(
-                f"{frames[0][1]!r} is not used: it lies at the joint or in the middle of the link"
+                f"{frames[0][1]!r} is not used, because it lies at the joint or in the middle of "
+                "the link"
             )
         point = skeleton.point(body, at.local(body, end.tip))
         return _tip(point, confidence, evidence, end.tip)
@@ -535,7 +537,7 @@ def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.n
         return (
             anchor + 2 * mass,
             0.35,
-            "guessed at twice the distance of the last link's centre of mass",
+            "guessed: twice as far from the joint as the last link's centre of mass",
         )
     if before > 5e-3:
         return (
@@ -545,7 +547,11 @@ def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.n
         )
     out = anchor - at.bodies[chain.palm]
     if np.linalg.norm(out) < 5e-3:
-        return anchor, 0.1, "no previous link to guess from: the last joint is used"
+        return (
+            anchor,
+            0.1,
+            "there is no previous link from which to guess, so the last joint is used",
+        )
     return anchor + 0.5 * out, 0.1, "guessed in line with palm and joint, at half their distance"
 
 

@@ -403,10 +403,9 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
         if not skeleton.bounded[j] and j not in skeleton.leaders:
             if name in skeleton.pinned:
                 raise HandModelError(
-                    f"joint {name!r} of a finger can't move: lower = upper = "
-                    f"{skeleton.pinned[name]:g} in the file, which is so for "
-                    f"{len(skeleton.pinned)} joints; set their ranges there, or make joints "
-                    "that never move fixed"
+                    f"joint {name!r} of a finger can't move: in the file, lower = upper = "
+                    f"{skeleton.pinned[name]:g}; {len(skeleton.pinned)} joints have such a range; "
+                    "set their ranges there, or make joints that never move fixed"
                 )
             raise HandModelError(
                 f"joint {name!r} of a finger has no limits; add them to the file (URDF: "
@@ -416,7 +415,7 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
         if skeleton.turns[j] and skeleton.bounded[j] and high - low > _TURNS:
             raise HandModelError(
                 f"joint {name!r} of a finger has the limits {low:g} to {high:g} rad, more than two "
-                "turns: are they degrees? A URDF's are radians, and so are an MJCF's under "
+                "turns: are they degrees? Limits are in radians in a URDF, and in an MJCF with "
                 '<compiler angle="radian"/>; correct them in the file'
             )
 
@@ -441,7 +440,7 @@ def _check_tips_differ(tips: list[tuple[str, Tip]]) -> None:
         if tip.point in tip_names:
             raise HandModelError(
                 f"{tip_names[tip.point]} and {finger} have the same tip, {tip.point.body!r}; give "
-                f"each its own: --tip {finger}=BODY:x,y,z"
+                f"each finger its own tip: --tip {finger}=BODY:x,y,z"
             )
         tip_names[tip.point] = finger
 
@@ -542,9 +541,9 @@ def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
     """Notes about chains that are not fingers, and about joints that can make a full turn."""
     if tree.left_out:
         yield (
-            f"not used: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "
-            "finger, add --finger NAME=BODY with its body. Joints that do not move a finger "
-            "stay at neutral"
+            f"chains that are not used: {'; '.join(out.why for out in tree.left_out)}. If one of "
+            "them is a finger, add --finger NAME=BODY with its body. Joints that do not move a "
+            "finger stay at neutral"
         )
     names = [
         skeleton.joint_names[j]
@@ -607,9 +606,9 @@ def _palm_finding(
         palm_why.append(f"{', '.join(nested)} share a joint inside the palm")
         palm_sure = 0.85
     if above := _above_palm(analysis):
-        palm_why.append(f"joints of a wrist or an arm lead to it: {len(above)}")
+        palm_why.append(f"{len(above)} joints of a wrist or an arm lead to the palm")
     if hands > 1:
-        palm_why.append(f"one of {hands} hands in the file, selected by its side")
+        palm_why.append(f"one of {hands} hands in the file, chosen by side")
     if tree.left_out:
         palm_why.append("left out: " + "; ".join(out.why for out in tree.left_out))
         palm_sure -= 0.2
@@ -646,7 +645,7 @@ def _wrist_joints(
     if len(above) > MOST_WRIST_JOINTS + 1 or len(names) > MOST_WRIST_JOINTS:
         names, why = (), f"{why}: more than a wrist has, so they are an arm's"
     elif not names:
-        why += ", but none that flexes or deviates the wrist within limits"
+        why += ", but none of them flexes or deviates the wrist within limits"
     elif all(map(says_wrist, names)):
         sure, why = 0.95, f"{why}; the names say so"
     value, advice = ", ".join(names) or "none", "edit wrist_joints in the spec file"

@@ -160,13 +160,13 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
         return Check("flexion", "skipped", "no finger bends enough to determine a direction")
     cosines = axes.closing @ axes.palmar
     figures = {n: round(float(c), 3) for n, c in zip(axes.names, cosines, strict=True)}
-    text = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
+    text = f"all fingers close in the same direction (cosine {cosines.min():.2f} or more)"
     check = partial(Check, "flexion", figures=figures)
     if against := [n for n, c in figures.items() if c < _AGREE]:
         return check(
             "failed",
             f"{', '.join(against)}: closes in the direction opposite to the others",
-            "change the sign of its flexion axes or of its limits in the model",
+            "in the model, change the sign of this finger's flexion axes or limits",
         )
     if skew := [n for n, c in figures.items() if c < _SKEW]:
         return check(
@@ -219,9 +219,14 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
             f"the names of the fingers are in the wrong order: {first} should be next to the thumb",
         )
     if thumb_offset < -_CLEAR:
-        return check("warning", text, "the thumb is on the little finger's side: is it the thumb?")
+        return check(
+            "warning",
+            text,
+            "the finger taken for the thumb is next to the little finger; if it is not the thumb, "
+            "set another one with --thumb",
+        )
     if max(thumb_offset, order) < _CLEAR:
-        return check("ok", f"{text}: it can serve as a right or a left hand")
+        return check("ok", f"{text}, so the hand can serve as a right or a left hand")
     return check("ok", text)
 
 
@@ -266,7 +271,9 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
         elif away > _OFF:
             faults[finger.name] = f"is {1e3 * away:.0f} mm away from the shapes of its link"
         elif stretch > _LONG:
-            faults[finger.name] = f"makes a last phalanx {stretch:.1f} times as long as the others"
+            faults[finger.name] = (
+                f"makes the last phalanx {stretch:.1f} times as long as those of the other fingers"
+            )
         elif away > _BESIDE:
             distant[finger.name] = 1e3 * away
     sound = tuple(name for name in hand.fingers if name not in faults)
@@ -280,10 +287,10 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
             f"{', '.join(distant)}: up to {max(distant.values()):.0f} mm away from the shapes of "
             "the link"
         )
-        advice = f"unless the model simply has no fingertip shapes, {advice}"
+        advice = f"unless the model has no fingertip shapes, {advice}"
         return check("warning", summary, advice), sound
     own = [place["own"] for place in figures.values() if "own" in place]
-    summary = "each moves with its finger"
+    summary = "each fingertip moves with its finger"
     if own:
         summary += (
             f", {min(own):.1f} to {max(own):.1f} mm from its link's shapes (negative: inside)"

@@ -115,9 +115,9 @@ def find_jaws(skeleton: Skeleton, chain: Chain, overrules: Overrules) -> Jaws:
     if gaps[-1] - gaps.min() < _CLOSES * reach:
         raise HandModelError(
             f"joint {skeleton.joint_names[joint]!r} changes the gap between "
-            f"{skeleton.body_name(chain.last)!r} and {skeleton.body_name(chain.palm)!r} by "
-            f"{(gaps[-1] - gaps.min()) * 1e3:.0f} mm only; expected the joint of a jaw that "
-            "closes against the body that carries it"
+            f"{skeleton.body_name(chain.last)!r} and {skeleton.body_name(chain.palm)!r} by only "
+            f"{(gaps[-1] - gaps.min()) * 1e3:.0f} mm; expected the joint of a jaw that closes "
+            "against the body that carries it"
         )
     k = int(np.flatnonzero(gaps < gaps.min() + _CLOSED)[-1])  # before the jaws overlap
     closed = places[k]

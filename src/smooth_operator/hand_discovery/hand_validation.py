@@ -123,7 +123,7 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
             name: None if np.isnan(gap) else round(1e3 * gap, 2) for name, gap in surfaces.items()
         },
     }
-    text = f"least gap to the thumb between tip points: {_millimetres(gaps)}"
+    text = f"smallest gap to the thumb between tip points: {_millimetres(gaps)}"
     if not np.isnan(list(surfaces.values())).any():
         text += f"; between surfaces: {_millimetres(surfaces)}"
     # comparisons with NaN, of a hand without shapes, are false
@@ -135,12 +135,14 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
         return check(
             "failed",
             text,
-            "the thumb reaches no finger: check its limits and tip, and that it is the thumb",
+            "the thumb reaches no finger: check the thumb's limits and tip, and whether the "
+            "right finger is taken for the thumb",
         )
     return check(
         "warning",
         text,
-        f"no pinch with {', '.join(apart)}: some hands can't; if yours can, check limits and tips",
+        f"the thumb can't pinch with {', '.join(apart)}, which is true of some hands; if yours "
+        "can, check limits and tips",
     )
 
 
@@ -377,15 +379,15 @@ def check_method(
     if hand.spec.gripper and method == DEFAULT_METHOD and within:
         verdict, advice = (
             "unjudged",
-            ("for information only: this method scales the human's pinch to the gripper's opening"),
+            "for information only: this method scales the human's pinch to the gripper's opening",
         )
-    text = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
+    text = f"fingertips are off by {trip.median:.2f} mm (median); 95 % by {trip.p95:.1f} mm or less"
     if trip.limit_violations:
-        text += f"; {trip.limit_violations} frames outside the limits"
+        text += f"; {trip.limit_violations} frames are outside the limits"
     if (trip.frozen or 0.0) > _FROZEN:
         text += f"; the hand did not move in {100 * (trip.frozen or 0):.0f} % of the motion"
     if trip.ok < 1:
-        text += f"; {100 * (1 - trip.ok):.0f} % of the frames refused"
+        text += f"; {100 * (1 - trip.ok):.0f} % of the frames were refused"
     figures = {
         "median_mm": round(trip.median, 4),
         "p95_mm": round(trip.p95, 4),
@@ -401,25 +403,28 @@ def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
     if trip.limit_violations:
         return "failed", "please report this: commands must never exceed the limits"
     if trip.ok < 1:
-        return "failed", "check the palm frame: landmarks of the hand itself are refused"
+        return "failed", "the method refuses the hand's own landmarks: check the palm frame"
     if (trip.frozen or 0.0) > _FROZEN:
         return "failed", "the method can't move this hand: check limits and couplings"
     if method == DEFAULT_METHOD and trip.median > _BAD_MM:
         return "warning", (
-            "poses of the hand itself are reproduced inaccurately: check the model's shapes, "
-            "which may keep its parts apart (hands show), the palm frame and the tips"
+            "the method reproduces the hand's own poses inaccurately: check the model's "
+            "shapes, which may keep its parts apart (see hands show), the palm frame and the "
+            "tips"
         )
     if method not in (*_FOLLOWS_TIPS, DEFAULT_METHOD):
-        return "unjudged", "for information only: this method does not aim at a pose's fingertips"
+        return "unjudged", (
+            "for information only: this method does not try to match the fingertips of a pose"
+        )
     if method == DEFAULT_METHOD or trip.median <= GOOD_MM:
         return "ok", ""
     if method == MEASURE and trip.median > _BAD_MM:
         return (
             "failed",
-            "poses of the hand itself can't be reproduced: check the palm frame and the tips",
+            "the method can't reproduce the hand's own poses: check the palm frame and the tips",
         )
     return "warning", (
-        "poses of the hand itself are reproduced inaccurately: check the palm frame, and "
+        "the method reproduces the hand's own poses inaccurately: check the palm frame, and "
         "whether other joint positions reach the same tips"
     )
 

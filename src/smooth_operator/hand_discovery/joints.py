@@ -57,7 +57,7 @@ def check_ranges(hand: Hand) -> Check:
     if beyond.any():
         return check(
             "failed",
-            f"{text}: {those(beyond)} have a larger range than any finger",
+            f"{text}: {those(beyond)} have a larger range than any finger joint can have",
             "limits must be in radians (metres for a slide): are these in degrees (millimetres)?",
         )
     if len(turns) and turns.max() < _NARROW:
@@ -89,7 +89,7 @@ def check_motion(samples: Samples) -> Check:
         moved[name] = float(np.linalg.norm(at - at[:, :1], axis=-1).max())
     figures = {name: round(1e3 * distance, 2) for name, distance in moved.items()}
     least = min(moved, key=lambda name: moved[name])
-    text = f"each moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
+    text = f"each joint moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
     idle = [name for name, distance in moved.items() if distance < _STILL]
     on_fingers = _on_fingers(hand)
     dead = [name for name in idle if name in on_fingers]
@@ -105,13 +105,13 @@ def check_motion(samples: Samples) -> Check:
         return check(
             "warning",
             f"{_list(idle)}: no landmark moves with it",
-            "it belongs to no finger of the description and stays at neutral: if it moves a "
-            "finger, add that finger",
+            "the joint belongs to no finger of the description and stays at neutral; if it moves "
+            "a finger, add that finger",
         )
     if slight := [name for name, distance in moved.items() if distance < _SLIGHT]:
         return check(
             "warning",
-            f"{_list(slight)}: moves its landmarks by {1e3 * moved[least]:.1f} mm only",
+            f"{_list(slight)}: moves its landmarks by only {1e3 * moved[least]:.1f} mm",
             "compare the joint's limits and axis with the data sheet",
         )
     return check("ok", text)
@@ -167,7 +167,7 @@ def check_shapes(samples: Samples) -> Check:
         palm = any(owner[hand.model.body(name).id] == PALM for name in (one, other))
         if share > (_CROWDED_PALM if palm else _CROWDED_FINGERS):
             crowded[f"{one} and {other}"] = round(share, 3)
-    texts, advice, verdicts = [f"{solid} shapes that collide"], [], list[Verdict]()
+    texts, advice, verdicts = [f"{solid} collision shapes"], [], list[Verdict]()
     if links:
         texts.append(
             f"those of {_list(list(links))} can't be read or are missing; estimated capsules "
@@ -177,7 +177,7 @@ def check_shapes(samples: Samples) -> Check:
         verdicts.append("warning")
     if crowded:
         most = max(crowded.values())
-        texts.append(f"in up to {most:.0%} of random poses {_list(list(crowded))} overlap")
+        texts.append(f"{_list(list(crowded))} overlap in up to {most:.0%} of random poses")
         advice.append(
             "make these shapes the size of the real parts; if the parts can't touch, exclude the "
             'pair in the model file: <exclude body1="..." body2="..."/>'
@@ -185,7 +185,9 @@ def check_shapes(samples: Samples) -> Check:
         verdicts.append("failed")
     elif shares:
         (one, other), share = next(iter(shares.items()))
-        texts.append(f"{one} and {other} touch in {share:.0%} of random poses, others in fewer")
+        texts.append(
+            f"{one} and {other} touch in {share:.0%} of random poses, and other pairs in fewer"
+        )
     figures = {
         "shapes": solid,
         "estimated": list(links),
@@ -247,7 +249,7 @@ def check_palm(samples: Samples) -> Check:
     travel = float(np.ptp(samples.landmarks[:, used], axis=0).max())
     figures = {"condition": round(condition, 3), "travel_mm": round(1e3 * travel, 2)}
     align = ", ".join(hand.spec.align)
-    text = f"{align}: condition {condition:.2f} (0 is a line, human palms 0.5)"
+    text = f"{align}: condition number {condition:.2f} (0 for a line, 0.5 for human palms)"
     check = partial(Check, "palm frame", figures=figures)
     if condition < MIN_CONDITION:
         return check(
@@ -267,8 +269,8 @@ def check_palm(samples: Samples) -> Check:
         return check(
             "warning",
             text,
-            "nearly a line: tracker noise will rotate the hand; name landmarks in align that "
-            "are further apart",
+            "nearly on a line, so tracker noise will rotate the hand; in align, name landmarks "
+            "that are further apart",
         )
     return check("ok", text)
 
@@ -338,7 +340,7 @@ def check_size(samples: Samples) -> Check:
             "or a wrist on the wrong body can also be the cause)",
         )
     if not _USUAL[0] < reach < _USUAL[1]:
-        return check("warning", text, "unusual: check the wrist and the units of the model")
+        return check("warning", text, "unusual size: check the wrist and the units of the model")
     return check("ok", text)
 
 

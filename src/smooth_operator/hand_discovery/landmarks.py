@@ -291,7 +291,7 @@ def find_wrist(
         if 0.4 * length < heel < 2.2 * length:
             near = points[back > heel - 0.15 * length]
             place = (near.min(axis=0) + near.max(axis=0)) / 2
-            why = "the heel of the palm's shape, opposite the fingers"
+            why = "the heel of the palm's shape, on the side opposite to the fingers"
             return _fixed(skeleton, at, palm, place), 0.65, (why,)
     starts = np.array([at.anchors[c.own[0]] for c in chains])
     for body in (b for b in reversed(skeleton.path(palm) or (palm,)) if b in rigid):
@@ -303,7 +303,10 @@ def find_wrist(
                 what = f"{skeleton.body_name(body)!r}, on which the palm is mounted"
             why = f"origin of {what}, about as far behind the knuckles as a human wrist"
             return _fixed(skeleton, at, palm, origin), 0.6, (why,)
-    why = "the model does not mark it: placed as far behind the knuckles as a human wrist"
+    why = (
+        "the model does not mark the wrist, so it is placed as far behind the knuckles as a human "
+        "wrist"
+    )
     return _fixed(skeleton, at, palm, expected), 0.35, (why,)
 
 
@@ -355,9 +358,10 @@ def bases_finding(moved: dict[str, float]) -> Finding:
     why = "no joint moves them"
     if moved:
         why = (
-            f"joints move {'that' if len(moved) == 1 else 'those'} of {', '.join(moved)}, by "
-            f"up to {max(moved.values()) * 1e3:.0f} mm; fixed at their positions in the "
-            "neutral pose, because a human's knuckles don't move relative to the palm"
+            f"joints move the finger {'base' if len(moved) == 1 else 'bases'} of "
+            f"{', '.join(moved)}, by up to {max(moved.values()) * 1e3:.0f} mm; finger bases are "
+            "fixed at their positions in the neutral pose, because human knuckles don't move "
+            "relative to the palm"
         )
     return Finding(
         "bases",

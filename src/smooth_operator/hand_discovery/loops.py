@@ -105,7 +105,7 @@ def _note(solutions: Sequence[OpenLoop], couplings: Sequence[Coupling]) -> str:
         f"{leaders} are commanded, within limits that the motors reach"
     )
     if any(len(one.leaders) > 1 for one in solutions):
-        text += ", one at a time but not in every combination"
+        text += ", each joint alone but not in every combination"
     if couplings:
         error = math.degrees(max(c.error for c in couplings))
         followers = ", ".join(c.joint for c in couplings)
@@ -215,9 +215,9 @@ def _poses(graph: LinkGraph, loop: Loop, motors: list[int]) -> list[Pose]:
     if len(poses) < max(8, len(seen) // 10):
         names = ", ".join(repr(model.joint(j).name) for j in motors)
         raise HandModelError(
-            f"the closed loop of {_words(graph, loop)} can't be solved: it closes in "
-            f"{len(poses) - 1} of {len(seen)} poses of {names}; check the ranges and the "
-            "positions of the connections"
+            f"the closed loop of {_words(graph, loop)} can't be solved: it closes in only "
+            f"{len(poses) - 1} of {len(seen)} poses of {names}; check the ranges and the positions "
+            "of the connections"
         )
     return poses
 

@@ -303,11 +303,15 @@ def find_thumb(
     if count > 2:
         if meets > 0.05:
             met = sum(opposed[best, i] > 0.05 for i in range(count) if i != best)
-            evidence.append(f"it reaches {met} of {count - 1} fingertips pad to pad")
+            evidence.append(f"the thumb meets {met} of {count - 1} fingertips pad to pad")
         angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-        evidence.append(f"it closes about an axis {angle:.0f}° from the others'")
+        evidence.append(
+            f"it closes about an axis that is {angle:.0f}° away from those of the others"
+        )
     if behind > 0.1:
-        evidence.append(f"its base is {behind * length * 1e3:.0f} mm behind the others'")
+        evidence.append(
+            f"its base is {behind * length * 1e3:.0f} mm behind the bases of the others"
+        )
     if named:
         evidence.append("its names match (weak evidence)")
     if labels.count("thumb") == 1 and not named:
@@ -416,13 +420,16 @@ def find_layout(
     if by_base * np.sign(by_reach) < _BASE:
         confidence = _UNCLEAR
         evidence.append(
-            "the two disagree: the fingers are arranged around the middle, so it may be a "
+            "base and reach disagree: the fingers are arranged around the middle, so it may be a "
             "gripper without a side"
         )
     if clear < 0.3:
         confidence = _UNCLEAR
         evidence = [
-            "the thumb is opposite the middle of the palm: it can serve as a right or a left hand"
+            (
+                "the thumb is opposite the middle of the palm, so the hand can serve as a right "
+                "or a left hand"
+            )
         ]
         if side_said is not None:
             side = side_said
@@ -457,12 +464,12 @@ def find_layout(
     ]
     if clear < 0.3 and len(others) > 1 and side_given is None:
         ordered = min(ordered, 0.4)
-        reasons.append("the thumb's end depends on the side, which is not certain")
+        reasons.append("which end is the thumb's depends on the side, which is not certain")
     if clear < 0.3 and _spoken([labels[i] for i in others]):
         # Names decide what the shape leaves open.
         ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
         ordered = 0.6
-        reasons[1:] = ["its ends are distinguished by names only (weak evidence)"]
+        reasons[1:] = ["only names tell which end is which (weak evidence)"]
         if side_said is None and side_given is None and len(ranked) > 1:
             across = bases @ lateral
             side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"
@@ -491,7 +498,7 @@ def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]
     count = len(labels)
     named = _spoken(labels)
     if named and list(named) == sorted(named, key=FINGERS.index):
-        return named, 0.95, ["names taken from the model"]
+        return named, 0.95, ["the names are those in the model"]
     names = FINGERS[1 : 1 + count]
     if count == 4:
         return names, 0.95, []
@@ -556,7 +563,7 @@ def find_neutral(
         for j in turning:
             start = skeleton.reference[j]
             q[j] = start + _TURNED * (turned[j] - start)
-    notes = ["fingers bent by a fifth of their range, with the thumb turned towards them"]
+    notes = ["fingers are bent by a fifth of their range, and the thumb is turned towards them"]
     depth = finger_overlap(skeleton, chains, skeleton.coupled(q))
     if depth > _DEEP:
         knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}

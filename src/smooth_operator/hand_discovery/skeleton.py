@@ -340,7 +340,7 @@ def read_skeleton(
     meshes = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
     if loaded.oversize:
         notes.append(
-            f"{loaded.why}. They are not used. Fingertips and wrist are estimated more "
+            f"{loaded.why}. These meshes are not used. Fingertips and wrist are estimated more "
             "reliably with meshes, or correct the points with --tip and --wrist"
         )
     elif meshes and not model.nmesh:
@@ -365,7 +365,7 @@ def read_skeleton(
             )
     if loaded.inertias:
         notes.append(
-            f"the inertia of {len(loaded.inertias)} links ({loaded.inertias[0]!r} first) is "
+            f"the inertia of {len(loaded.inertias)} links (such as {loaded.inertias[0]!r}) is "
             "incomplete or not positive, and is not used; a simulation estimates it from the "
             "shapes. Correct it in the file"
         )
@@ -375,9 +375,9 @@ def read_skeleton(
     )
     if bodies or joints:
         notes.append(
-            f"{bodies} bodies and {joints} joints have no name in the file; they are numbered "
-            "in its order (body_1, joint_1, ...). Name the joints in the file, so that drivers can "
-            "match commands and motors"
+            f"{bodies} bodies and {joints} joints have no name in the file; they are numbered in "
+            "the order of the file (body_1, joint_1, ...). Name the joints in the file, so that "
+            "drivers can match commands and motors"
         )
     bars = [int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)]
     loops = int(np.isin(model.eq_type, bars).sum())

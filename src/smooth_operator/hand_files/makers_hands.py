@@ -59,13 +59,13 @@ class MakersHand:
         """
         if clone is None:
             raise ConfigError(
-                f"the model of {self.name} stays in the repository of its author, {self.maker}, "
-                f"and this program downloads nothing. Type:{self.steps}"
+                f"the model of {self.name} is in the repository of its maker, {self.maker}, and "
+                f"this program does not download it. Type:{self.steps}"
             )
         file = clone / self.file
         if not file.is_file():
             raise ConfigError(
-                f"there is no {self.file} in {clone}; expected a clone of the author's "
+                f"there is no {self.file} in {clone}; expected a clone of the maker's "
                 f"repository:{self.steps}"
             )
         return file
@@ -81,7 +81,7 @@ def makers_hand(name: str, side: Side) -> MakersHand:
     side."""
     entry = MAKERS_HANDS[name]
     if side not in entry:
-        raise ConfigError(f"the author of {name} publishes no model of the {side} hand")
+        raise ConfigError(f"the maker of {name} has published no model of the {side} hand")
     about = {key: entry[key] for key in ("maker", "repository", "commit")}
     own = dict(entry[side])
     return MakersHand(

@@ -53,7 +53,7 @@ def description_file(name: str) -> Path:
     except Exception as error:  # whatever git or the network raise
         raise HandModelError(
             f"robot_descriptions can't download {name!r}: {' '.join(str(error).split())[:300]}. "
-            "Try again with a network, or name a model file"
+            "Try again with a network connection, or name a model file"
         ) from error
     file = getattr(module, "MJCF_PATH", None) or getattr(module, "URDF_PATH", None)
     if file is None:

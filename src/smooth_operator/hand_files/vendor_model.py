@@ -122,7 +122,7 @@ def _palm(hand: Hand, model: mujoco.MjModel) -> str:
     best = min(range(1, model.nbody), key=lambda body: (round(apart(body) / _SAME, 2), -body))
     if not apart(best) < _SAME or not model.body(best).name:
         raise HandModelError(
-            f"no body of that model matches the palm of {hand.name!r}: the fingers differ"
+            f"no body of that model matches the palm of {hand.name!r}; the fingers differ"
         )
     return str(model.body(best).name)
 
@@ -254,8 +254,8 @@ def menagerie_file(hand: Hand) -> Path:
         return Path(package.get(robot).xml(xml))
     except (package.MenagerieError, OSError) as error:
         raise HandModelError(
-            f"the model {robot!r} of Menagerie can't be downloaded: {error}. Try again with "
-            "a network, or set MENAGERIE_ROOT to a checkout of "
+            f"the model {robot!r} of Menagerie can't be downloaded: {error}. Try again with a "
+            "network connection, or set MENAGERIE_ROOT to a checkout of "
             "github.com/google-deepmind/mujoco_menagerie"
         ) from error
 

@@ -130,9 +130,9 @@ PAPER_TABLE: Final[dict[str, dict[str, float]]] = {
 is shown here in the column of the median."""
 
 PAPER_NOTE: Final = (
-    "The paper's numbers were measured on other data (14 operators at about 100 Hz, mimic "
-    "P0.50 right, an RTX 4090) with its own definitions. They are a reference and can't be "
-    "compared directly."
+    "The Smooth Operator paper's numbers were measured on other data (14 operators at about 100 "
+    "Hz, mimic P0.50 right, an RTX 4090) with the paper's own definitions. They are for reference "
+    "and can't be compared directly."
 )
 
 
@@ -200,7 +200,7 @@ def write_report(
             "recordings": settings.recordings,
             "hands": settings.hands,
             "methods": settings.methods,
-            "frames": settings.frames or "all, except where a recording has its own setting",
+            "frames": settings.frames or "all frames, except of recordings with their own setting",
             "seed": settings.seed,
             "definition": settings.definition,
             "latency frames": settings.latency_frames,
@@ -214,8 +214,8 @@ def write_report(
         "Retargeting benchmark",
         _heading(rows, len(failed)),
         [(name.capitalize(), name, Html(str(getattr(content, name)()))) for name in names],
-        "Made by smooth-operator bench. Numbers: results.json; plots as files: plots/; "
-        "commands of each cell: cells/.",
+        "Made by smooth-operator bench. The numbers are in results.json, the plots in plots/ and "
+        "the commands of each cell in cells/.",
         styles=(here / "player.css",),
         scripts=(here / "player.js", SORTING),
         without_scripts=".player { display: none; }",
@@ -246,7 +246,9 @@ def _hand(
     with styled():
         drawn = figures.tradeoff_figure(rows, colors)
     caption = "Accuracy against smoothness: the lower left corner is best. "
-    caption += "Small symbols: single recordings; large symbols: their mean. " if several else ""
+    caption += (
+        "Small symbols are single recordings; large symbols are their mean. " if several else ""
+    )
     caption += "Both axes are logarithmic."
     return {
         "title": f"{hand}: mean over {ranking.sample_text(rows)}" if several else hand,
@@ -272,8 +274,8 @@ def _sheets(
     for (hand, side), own in panels_by_hand(panels.values()).items():
         name = f"{hand} {side}"
         caption = (
-            f"{name}: the frames that show each pose best, seen from the palm and from the "
-            "thumb's side. Every hand is drawn upright in the frame of its own wrist."
+            f"{name}: the frames that show each pose best, seen from the palm and from the thumb's "
+            "side. Every hand is drawn upright, relative to its own wrist."
         )
         yield name, plots.picture(contact_sheet(own, shape), f"sheet-{hand}-{side}", caption)
 
@@ -292,7 +294,7 @@ def _timing(
     shares = [latency.others for latency, _ in timed if latency.others is not None]
     loads = [latency.load for latency, _ in timed if latency.load is not None]
     busy = bool(shares) and max(shares) > BUSY
-    parts = [f"other processes took up to {100 * max(shares):.0f} % of the cores"] if shares else []
+    parts = [f"other processes used up to {100 * max(shares):.0f} % of the cores"] if shares else []
     parts += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
     warning = ": the machine was busy, so these are upper bounds" if busy else ""
     drawings = []
@@ -341,9 +343,9 @@ def _recordings(
             content["tips"] = plots.element(
                 tips,
                 f"fingertips-{stem}",
-                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in "
-                "which the human's fingertips travel the farthest. The human hand (grey) is "
-                "aligned as for the first method.",
+                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
+                "the human's fingertips travel the farthest. The human hand (grey) is aligned "
+                "with the settings of the first method.",
             )
             caption = "Joint positions in the same period; dashed lines are the joint limits."
             content["joints"] = plots.element(joints, f"joints-{stem}", caption)

@@ -230,7 +230,7 @@ require("a LeRobot data set", "datasets", "pyarrow")
 
 _OFF_GRID: Final = 0.25  # frames
 _UNITS: Final = {
-    "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
+    "observation.state": "rad, joint positions; m and quaternion wxyz, robot wrists",
     "action": "the state of the next frame",
     VIDEO_KEY: "the source's video",
 }
@@ -298,8 +298,8 @@ class _Writer(ShardedWriter):
             rest = head.frames - start_frame
             if start_frame < 0 or rest < 1:
                 raise RecordingError(
-                    f"{clip.clip.name}: it begins {clip.clip.video_start_s:g} s into its video "
-                    f"{clip.clip.video}, which has only {head.frames} frames"
+                    f"{clip.clip.name}: it begins {clip.clip.video_start_s:g} s after the start of "
+                    f"its video {clip.clip.video}, which has only {head.frames} frames"
                 )
             if rest < len(clip.clip):
                 columns = {name: values[:rest] for name, values in columns.items()}
@@ -429,9 +429,12 @@ class _Writer(ShardedWriter):
             fps=layout.fps,
             video_path=None if layout.video is None else VIDEO_PATH,
         )
-        more = f"Hands: {layout.robot}. Human hands were retargeted; no robot moved."
+        more = f"Hands: {layout.robot}. The motion was retargeted from human hands; no robot moved."
         if layout.video is not None:
-            more += f" The statistics of `{VIDEO_KEY}` are ImageNet's; they were not measured."
+            more += (
+                f" The statistics of `{VIDEO_KEY}` are those of ImageNet; they were not measured "
+                "on these videos."
+            )
         title = "Human hands retargeted to robot hands"
         write_description(self.output, info, stats, dataset_readme(info, title, more, _UNITS))
 
@@ -443,8 +446,8 @@ class _Writer(ShardedWriter):
             if self.options.rate is not None and abs(self.options.rate / fps - 1.0) > 1e-6:
                 raise RecordingError(
                     f"{clip.clip.name}: its video has {fps:g} frames per second, but "
-                    f"{self.options.rate:g} were requested; LeRobot can't show it at another rate: "
-                    "omit the rate, or write without videos"
+                    f"{self.options.rate:g} were requested; LeRobot can't show it at a different "
+                    "rate: omit the rate, or write without videos"
                 )
             return fps
         if self.options.rate is not None:
@@ -452,8 +455,8 @@ class _Writer(ShardedWriter):
         rate = mean_rate(clip.clip.stamps)
         if rate is None:
             raise RecordingError(
-                f"{clip.clip.name}: a clip of one frame has no rate, and the data set has none "
-                "yet; set it with --rate"
+                f"{clip.clip.name}: a clip with a single frame has no frame rate, and the data set "
+                "has none yet; set the rate with --rate"
             )
         return float(standard_fps(rate))
 

@@ -94,20 +94,20 @@ class RobotLayout:
                 )
             if tuple(commands.joint_names) != self.joints[side]:
                 raise RecordingError(
-                    f"{name}: its {side} commands are for other joints than those of the data set;"
-                    " write the clips of each robot hand to their own data set"
+                    f"{name}: its {side} commands are not for the joints of the data set; write "
+                    "the clips of each robot hand to a separate data set"
                 )
         if not clip.commands:
-            raise RecordingError(f"{name}: it has no commands; leave it out")
+            raise RecordingError(f"{name}: this clip has no commands; leave it out")
         with_wrist = _has_wrist(clip)
         if self.wrist != with_wrist:
             has = (
-                "it has wrists, but the data set does not"
+                "it has wrist poses, but the data set does not"
                 if with_wrist
                 else "its wrists are unknown"
             )
             raise RecordingError(
-                f"{name}: {has}; write clips with and without wrists to two data sets"
+                f"{name}: {has}; write clips with and without wrist poses to two data sets"
             )
 
     def layout(self) -> Layout:

@@ -109,7 +109,10 @@ def refused(items: Iterable[Item], folder: Path, report: str) -> dict[str, str]:
         path = folder / f"{name}.npz"
         reason = taken(path, folder)
         if config_path(path) == folder / report:
-            reason = f"its configuration would be {report}, the report of the run; rename it"
+            reason = (
+                f"its configuration file would be called {report}, like the report of the run; "
+                "rename the recording"
+            )
         if len(same) > 1:
             files = " and ".join(sorted(each.ref.path.name for each in same if each.ref))
             reason = f"{files} would both become {name}.npz; rename or remove one of them"

@@ -35,14 +35,14 @@ _SCALARS: Final = {"stamps": "float64", "valid": "bool_", "status": "int8", "con
 _UNITS: Final = {
     "stamps": "s",
     "joints": "rad, in the order of SIDE_joint_names",
-    "wrist": "robot hand's wrist in the world: x y z in m, quaternion w x y z",
+    "wrist": "robot wrist in the world: x y z in m, quaternion w x y z",
     "valid": "whether the command was computed from a hand that was seen",
     "status": "status of the command",
     "confidence": "confidence of the tracker, 0 to 1",
     "human_wrist": "human wrist in the world: x y z in m, quaternion w x y z",
     "landmarks": "21 points x 3, m, in the tracker's frame",
     "camera": "camera in the world: x y z in m, quaternion w x y z",
-    "objects": "poses of 7 numbers one after the other, in the order of object_names",
+    "objects": "poses of 7 numbers each, one after another, in the order of object_names",
 }
 _TEXTS: Final = ("key", "name", "layout", "task", "world", "video", "configuration", "meta")
 

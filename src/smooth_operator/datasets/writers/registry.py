@@ -93,7 +93,7 @@ WRITERS: Final = Registry(
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
             ("webdataset", "shards:WEBDATASET", "tar shards, one sample per clip"),
             ("parquet", "parquet:PARQUET", "Parquet files, one row per clip"),
-            ("npz", "npz:NPZ", "files of commands as written by retarget"),
+            ("npz", "npz:NPZ", "command files like those that retarget writes"),
         )
     },
     needs=("what", "open"),

@@ -201,7 +201,7 @@ class ShardedWriter(ABC):
             self._take(key)
             return
         if not len(clip.clip):
-            raise RecordingError(f"{clip.clip.name}: it contains no frames; leave it out")
+            raise RecordingError(f"{clip.clip.name}: this clip contains no frames; leave it out")
         entry = {
             "key": key,
             "name": clip.clip.name,
@@ -310,7 +310,7 @@ class ShardedWriter(ABC):
             new, old = expected.get(name), stored.get(name) if isinstance(stored, dict) else None
             if new != old:
                 raise ConfigError(
-                    f"{self.output} was begun with {name} = {to_json(old)}, not {to_json(new)}; "
+                    f"{self.output} was started with {name} = {to_json(old)}, not {to_json(new)}; "
                     "continue with the same value, or write to another folder"
                 )
 

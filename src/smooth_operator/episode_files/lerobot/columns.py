@@ -114,11 +114,19 @@ def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
     for column, what in (
         (
             "joint_positions",
-            f"hold commands for different joints ({', '.join(first or ())} and "
-            f"{', '.join(second or ())}); write the commands of each robot hand",
+            (
+                f"contain commands for different joints ({', '.join(first or ())} and "
+                f"{', '.join(second or ())}); write the commands of each robot hand"
+            ),
         ),
-        ("measured_positions", "measured different joints; write each robot hand"),
-        ("arm_positions", "have different arms, or only one has an arm; write each robot"),
+        (
+            "measured_positions",
+            "have measurements of different joints; write the data of each robot hand",
+        ),
+        (
+            "arm_positions",
+            "have different arms, or only one of them has an arm; write the data of each robot",
+        ),
     ):
         if layout.get(column) != other.get(column):
             raise RecordingError(f"{names[0]} and {names[1]} {what} to its own LeRobot dataset")
@@ -156,7 +164,7 @@ def episode_columns(
     """
     count = len(episode)
     if not count:
-        raise RecordingError(f"{episode.name}: it contains no frames; remove it")
+        raise RecordingError(f"{episode.name}: this episode contains no frames; remove it")
     recording, commands = episode.recording, episode.commands
     columns: dict[str, np.ndarray] = {"stamp": episode.stamps}
     if recording is not None:
@@ -243,7 +251,7 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
             for what, there in (
                 ("commands", episode.commands is not None),
                 (
-                    "measured joints; record it with a sink that measures, such as mujoco",
+                    "measured joints; record with a sink that measures them, such as mujoco",
                     episode.states is not None,
                 ),
                 ("name of its robot hand", isinstance(config.get("hand"), str)),
@@ -258,7 +266,8 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
     )
     if lacks is not None:
         raise RecordingError(
-            f"{episode.name}: the robot's columns can't be written without {lacks}"
+            f"{episode.name}: the columns of the robot can't be written, because the episode lacks "
+            f"{lacks}"
         )
     if wrist and episode.arm is not None:
         raise RecordingError(

@@ -76,8 +76,8 @@ class Dataset:
         if row is not None:
             return row
         raise ConfigError(
-            f"{self.path}: it has no episode {number}; it has {len(self)}, {self.numbers[0]} to "
-            f"{self.numbers[-1]}"
+            f"{self.path}: there is no episode {number}; the data set has {len(self)}, with the "
+            f"numbers {self.numbers[0]} to {self.numbers[-1]}"
         )
 
     def name_of(self, number: int) -> str:
@@ -120,8 +120,8 @@ def open_dataset(path: Path) -> Dataset:
         )
     if "stamp" not in features:
         raise RecordingError(
-            f"{path}: a LeRobot dataset of another program, with {listed(features)}: it lacks the "
-            "column 'stamp', the time of each frame [s]"
+            f"{path}: a LeRobot dataset from another program, with {listed(features)}: it lacks "
+            "the column 'stamp', the time of each frame [s]"
         )
     if isinstance(fps, bool) or not isinstance(fps, int | float):
         raise RecordingError(f"{where}: fps must be a number, not {brief(fps)}")
@@ -261,7 +261,7 @@ def data_file(dataset: Dataset, number: int) -> Path:
         ) from error
     if not file.is_relative_to(dataset.path.resolve()):
         raise RecordingError(
-            f"{dataset.path}: its metadata names a file outside the dataset: {file}"
+            f"{dataset.path}: its metadata name a file outside the dataset: {file}"
         )
     return file
 
@@ -355,7 +355,9 @@ def _side(table: Any, own: dict[str, Any], side: Side | None, where: str) -> Sid
         seen = {s: numbers(table, f"{s}_landmarks_valid", 21, Path(where)).any() for s in sides}
         sides = tuple(each for each in sides if seen[each]) or sides
     if side is None and len(sides) > 1:
-        raise RecordingError(f"{where}: it has both hands; choose one with --side right or left")
+        raise RecordingError(
+            f"{where}: it contains both hands; choose one with --side right or left"
+        )
     return check_side(sides if side not in sides else (side,), side, where)[0]
 
 

@@ -69,7 +69,7 @@ def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
     pa = arrow()
     if name not in table.column_names:
         raise RecordingError(
-            f"{where}: it lacks the column {name!r}; it has {listed(table.column_names)}"
+            f"{where}: it lacks the column {name!r}; its columns: {listed(table.column_names)}"
         )
     chunks = table.column(name).chunks
     kind = table.schema.field(name).type

@@ -117,7 +117,8 @@ def write_dataset(
         raise ConfigError(f"fps must be a whole number of frames per second, at least 1, not {fps}")
     if environment_state and columns == "all":
         raise ConfigError(
-            "the environment state needs the columns of a robot; set columns to robot"
+            "the environment state can only be written with the columns of a robot; set columns "
+            "to robot"
         )
     survey = _look(episodes, columns, environment_state)
     if fps is None and survey.robot is not None:
@@ -201,8 +202,8 @@ def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -
             own = robot_layout(episode, columns == "robot-wrist", environment_state)
             if survey.robot not in (None, own):
                 raise RecordingError(
-                    f"{name} and {episode.name} have different robot hands; write each to its own "
-                    "LeRobot dataset"
+                    f"{name} and {episode.name} were recorded with different robot hands; write "
+                    "each to a separate LeRobot dataset"
                 )
             survey.robot = own
         task = episode.task or UNNAMED_TASK
@@ -227,8 +228,8 @@ def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
         episode = survey.kept.pop(number, None) or load()
         if len(episode) != survey.lengths[number]:
             raise RecordingError(
-                f"{episode.name}: the file changed while it was being converted; try again "
-                "when no program writes to it"
+                f"{episode.name}: the file changed while it was being converted; try again when no "
+                "program is writing to it"
             )
         yield episode
 
