@@ -66,7 +66,7 @@ def test_a_method_that_collides_or_stands_still_is_not_named():
     chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
     assert chosen["pinching and grasping"] == ("safe",)  # close touches more often, and collides
     assert chosen["pointing as the human does"] == ("close",)
-    assert chosen["calm motion that keeps up"] == ("close",)  # still does not keep up
+    assert chosen["calm motion without lag"] == ("close",)  # still does not keep up
     assert chosen["speed"] == ("still",)
 
 

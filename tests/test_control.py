@@ -492,7 +492,7 @@ def test_a_pedal_acts_without_the_focus_and_comes_back(tmp_path):
             until(lambda count=count: len([line for line in said if "gone" in line]) == count)
     assert pressed == 2 * ["pedal:48", "pedal:30"]
     assert said[0] == "this pedal has no action; to give it one: --bind ACTION=pedal:30"
-    assert any(line.endswith("the pedal is back") for line in said)
+    assert any(line.endswith("the pedal is connected again") for line in said)
     with (
         pytest.raises(SourceError, match="members of the group input"),
         pedal(tmp_path / "event6", pressed.append, [], said.append),

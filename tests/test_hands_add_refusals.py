@@ -113,12 +113,12 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "equal limits": (
         "h.urdf",
         re.sub(r'upper="1.6"', 'upper="-0.1"', TEXT),
-        r"of a finger can't move: lower = upper = -?[\d.]+ in the file.*set their ranges there",
+        r"of a finger can't move: in the file, lower = upper = -?[\d.]+.*set their ranges there",
     ),
     "all limits equal": (
         "h.urdf",
         re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0.105" upper="0.105"', TEXT),
-        r"5 whose joints can't move, with lower = upper in the file",
+        r"5 whose joints can't move, because lower = upper in the file",
     ),
     "links at one point": (
         "h.urdf",

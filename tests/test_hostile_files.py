@@ -151,7 +151,7 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "s.npz"))
         for name, kind in (("x.npz", "a pipe"), ("s.npz", "a socket")):
-            with pytest.raises(RecordingError, match=f"it is {kind}, not a plain file"):
+            with pytest.raises(RecordingError, match=f"it is {kind}, not a regular file"):
                 read_recording(tmp_path / name)
             with pytest.raises(DocumentError, match=kind):
                 read_text(tmp_path / name)

@@ -151,7 +151,7 @@ def changed(rows: list[list[str]], row: int, column: int, text: str) -> list[lis
         (changed(plain_table(), 4, 9, "x1"), "row 5, column .*: 'x1' is not a number"),
         (changed(plain_table(), 0, 5, "wrist_x"), "occurs twice in the header"),
         (changed(plain_table(("left",)), 2, 1, "both"), "side must be 'right' or 'left'"),
-        ([*plain_table(), ["1", "2"]], "row 42 has 2 cells, the header 64"),
+        ([*plain_table(), ["1", "2"]], "row 42 has 2 cells, but the header has 64"),
         (plain_table()[:1], "no rows"),
         (changed(aria_table(), 0, 3, "x"), "no column ty_left_landmark_0_device"),
         ([aria_table()[0]], "no hand with a confidence above 0"),

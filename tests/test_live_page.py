@@ -234,8 +234,8 @@ WRIST = {"engaged": False, "released": False, "tracked": True}
         ({"mode": "holding", "wrist": {**WRIST, "tracked": False}}, "(the tracker lost it)"),
         ({"wrist": {**WRIST, "engaged": True}}, "tracked (no arm connected)"),
         ({"wrist": None}, "wrist: not tracked"),
-        ({"mode": "waiting", "compiling": 0.2}, "compiling the method, robot holding"),
-        ({"mode": "holding", "compiling": 0.2}, "compiling the method, robot holding"),
+        ({"mode": "waiting", "compiling": 0.2}, "compiling the method; the robot holds its pose"),
+        ({"mode": "holding", "compiling": 0.2}, "compiling the method; the robot holds its pose"),
         ({"mode": "stopped", "compiling": 0.2}, "STOPPED"),
     ],
 )
@@ -742,7 +742,7 @@ def test_a_page_without_a_connection_says_that_its_stop_does_not_work(chromium, 
         words = lost.inner_text()
         assert "CONNECTION LOST" in words
         assert "The stop button does not work." in words
-        assert "Stop in the terminal of the run: Space, Esc or X." in words
+        assert "To stop, press Space, Esc or X in the terminal where teleop runs." in words
         assert lost.evaluate("it => getComputedStyle(it).position") == "fixed"
         page.wait_for_function("document.title.includes('CONNECTION LOST')")
     finally:

@@ -69,7 +69,7 @@ def test_another_model_is_used_with_a_warning(run: Run, clone):
         (["acme", "--from", "hands"], r"no urdf/hand.urdf in hands; expected a clone"),
         (
             ["acme", "--side", "left"],
-            "the author of acme publishes no model of the left hand",
+            "the maker of acme has published no model of the left hand",
         ),
         (["models/urdf/hand.urdf", "--from", "models"], r"--from is for .*acme\), not for"),
     ],

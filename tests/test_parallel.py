@@ -235,7 +235,7 @@ def test_a_worker_has_one_thread_and_all_cores(tmp_path, monkeypatch):
         ({"retries": -1}, "retries must be 0 or more, not -1"),
         ({"workers": 0, "cluster": "local"}, "a cluster needs at least one worker"),
         ({"cluster": "auto"}, re.escape(install_command("cluster"))),
-        ({"function": lambda x: x}, "function at the top of an importable module"),
+        ({"function": lambda x: x}, "function at the top level of an importable module"),
     ],
 )
 def test_impossible_requests(options, reason, monkeypatch):

@@ -147,7 +147,7 @@ REFUSED = [
                 {"data": np.ones((3, 26, 7)), "keypoint_ids": np.r_[np.arange(25), 3]},
                 "more than once",
             ),
-            ({"data": np.ones((3, 20, 7)), "keypoint_ids": None}, "25 nodes, this one 20"),
+            ({"data": np.ones((3, 20, 7)), "keypoint_ids": None}, "25 nodes, but this one has 20"),
             ({"quaternion_order": np.array("zyxw")}, "must be 'wxyz' or 'xyzw', not"),
             ({"data": np.zeros((0, 25, 7)), "timestamps": np.zeros(0)}, "contains no frames"),
             ({"chirality": np.array(["RIGHT", "LEFT"])}, "mixes left and right"),
@@ -208,15 +208,21 @@ REFUSED = [
     (np.full((FRAMES, 21, 3), np.nan), "no landmark of any frame is finite"),
     (np.zeros((FRAMES, 21, 3)), "never saw the hand"),
     (partly_seen(), "no frame has both the wrist and the middle finger's MCP"),
-    ({"a": hand(), "b": hand()}, "2 recordings, not one recording: a, b"),
+    ({"a": hand(), "b": hand()}, "2 recordings rather than one recording: a, b"),
     ({"joints": hand(), "landmarks": hand()}, "both 'landmarks' and 'joints'"),
     ({"x": np.ones(3), "y": np.ones((4, 2))}, r"no array of landmarks.*x \(3,\), y \(4, 2\)"),
     ({}, "no arrays"),
     ({"joints": hand() > 0}, "must hold real numbers, not bool"),
     ({"joints": hand(), "side": np.array("")}, "side must be"),
     ({"joints": hand(), "chirality": np.array("R"), "side": np.array("L")}, "mixes left"),
-    ({"poses": np.zeros((FRAMES, 156)), "betas": np.zeros(16)}, r"whole-body parameters \(SMPL-H, 156"),
-    ({"poses": np.zeros((FRAMES, 165)), "betas": np.zeros(16)}, r"whole-body parameters \(SMPL-X, 165"),
+    (
+        {"poses": np.zeros((FRAMES, 156)), "betas": np.zeros(16)},
+        r"whole-body parameters \(SMPL-H, 156",
+    ),
+    (
+        {"poses": np.zeros((FRAMES, 165)), "betas": np.zeros(16)},
+        r"whole-body parameters \(SMPL-X, 165",
+    ),
     (b"\x89HDF\r\n\x1a\n" + bytes(50), "HDF5"),
     (b"\x1f\x8b" + bytes(50), "gzip"),
     (b"time,x,y,z\n0,1,2,3\n", "not a recording: it starts with b'time,x,y'"),
@@ -228,10 +234,10 @@ REFUSED = [
     (b"SQLite format 3\x00", "ROS 2 bags .*ros2 bag play"),
     (b"#ROSBAG V2.0\n", "a ROS 1 bag; .*--source ros2"),
     (b'{"data": [{"states": {"right_ee": {"qpos": [0]}}}]}', "a robot: it contains no human hand"),
-    (b'{"frames": []}', "a JSON file of another program; save its landmarks with numpy.savez"),
+    (b'{"frames": []}', "a JSON file from another program; save its landmarks with numpy.savez"),
     (b"tracking_timestamp_us,tx_left_landmark_0_device\n1,0.1\n", "no column right_tracking"),
-    (b"\x93NUM", "cut off after 4 bytes"),
-    (b"\x89MCAP0", "cut off after 6 bytes"),
+    (b"\x93NUM", "the file ends after 4 bytes"),
+    (b"\x89MCAP0", "the file ends after 6 bytes"),
     (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
     (b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'}", "damaged or incomplete"),
     (b"\x93NUMPY\x01\x00v\x00" + HUGE.encode() + bytes(100), "should take 503999999999"),
@@ -525,7 +531,7 @@ def stamps_with(**changes: float) -> np.ndarray:
         ((stamps_with() * 1e9).astype(np.int64), r"nanoseconds \(multiply by 1e-09\)"),
         (stamps_with() / 60.0, r"minutes \(multiply by 60\)"),
         (stamps_with() * 1e15, "no other common unit"),
-        (stamps_with(i11=2e9), "2e[+]09 s, at most 1e[+]09 s"),
+        (stamps_with(i11=2e9), "2e[+]09 s, but at most 1e[+]09 s"),
         (np.zeros(FRAMES), r"all 12 timestamps are 0\.0, so they are not times; .*--rate"),
         (np.repeat(np.arange(6) / 30.0, 2), "the hand differs in 6 of these pairs.*--rate"),
         (stamps_with()[:-1], "one timestamp for each of the 12 frames"),
@@ -599,7 +605,7 @@ def test_object_arrays_are_pickles(tmp_path):
 def test_torch_files_are_pickles(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
         archive.writestr("archive/data.pkl", pickle.dumps([1]))
-    refused(tmp_path / "a.pt", r"holds the pickle 'archive/data.pkl'")
+    refused(tmp_path / "a.pt", r"contains the pickle 'archive/data.pkl'")
 
 
 def robot_dataset(folder: Path, version: str = "v2.1") -> Path:
@@ -639,7 +645,7 @@ def test_every_command_recognises_data_of_a_robot(tmp_path, monkeypatch, capsys,
     monkeypatch.chdir(tmp_path)
     assert main(command.replace("SET", "set").split()) == 2
     said = capsys.readouterr().err
-    assert f"LeRobot data set (version {version}) of the robot 'humanoid', with " in said, said
+    assert f"LeRobot data set (version {version}) from the robot 'humanoid', with " in said, said
     assert "(left_arm_0, left_arm_1, ...): it contains no human hand" in said
 
 

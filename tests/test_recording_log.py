@@ -408,14 +408,19 @@ def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
 @pytest.mark.parametrize(
     ("topic", "data", "version", "match"),
     [
-        ("/camera", b"{}", None, "MCAP file of another program, with the topics /camera"),
-        ("/hand", b"{}", None, "MCAP file of another program"),
+        ("/camera", b"{}", None, "MCAP file from another program, with the topics /camera"),
+        ("/hand", b"{}", None, "MCAP file from another program"),
         ("/hand", b"{}", "4", "version 4, but this program reads version 3; .* upgrade"),
         ("/hand", b"{}", "2", "version 2, but this program reads version 3"),
         ("/hand", b"{}", "3", "a message on /hand is not a valid smooth_operator.Hand"),
         ("/hand", b"", "3", "side must be .right. or .left., not"),
-        ("/config", b"\x0a\x01{", "3", "has a wrong one"),
-        ("/command", ONE_COMMAND.replace(b"\x1a\x08", b"\x1a\x10") + bytes(8), "3", "a wrong one"),
+        ("/config", b"\x0a\x01{", "3", "or a field is wrong"),
+        (
+            "/command",
+            ONE_COMMAND.replace(b"\x1a\x08", b"\x1a\x10") + bytes(8),
+            "3",
+            "a field is wrong",
+        ),
         ("/status", b"\x10\x4d", "3", "77 is not a valid Status"),
     ],
 )
@@ -427,7 +432,7 @@ def test_logs_of_others(tmp_path, topic, data, version, match):
 
 def test_read_log_of_another_format(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros(3))
-    with pytest.raises(RecordingError, match="not a log, but a file of another format"):
+    with pytest.raises(RecordingError, match="not a log, but a file in another format"):
         read_log(tmp_path / "a.npy")
     with pytest.raises(RecordingError, match="no such file"):
         read_log(tmp_path / "b.mcap")

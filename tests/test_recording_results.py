@@ -81,7 +81,7 @@ def test_status_is_found_by_name(tmp_path):
     ("key", "value", "match"),
     [
         ("joint_positions", None, "it lacks joint_positions"),
-        ("status", None, r"it lacks status .*it holds .*timestamps \(6,\)"),
+        ("status", None, r"it lacks status .*it contains .*timestamps \(6,\)"),
         ("joint_positions", np.zeros(6), "must have shape \\(frames, joints\\)"),
         ("joint_positions", np.zeros((6, 4)), r"joint_names must have shape \(4,\)"),
         ("timestamps", np.zeros(5), r"timestamps must have shape \(6,\).*not \(5,\)"),

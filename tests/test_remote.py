@@ -187,7 +187,7 @@ def test_another_method_while_the_hand_moves(stage):
     [
         ({"method": "telepathy"}, "unknown method 'telepathy'"),
         ({"method": "geort", "preset": "no-such"}, "no-such"),
-        ({}, "which method"),
+        ({}, "name the method"),
         ({"method": 3}, "expected a string, not 3"),
     ],
 )

@@ -276,7 +276,7 @@ def test_refused_before_any_work(tmp_path):
     reasons = summary.failed
     assert "one.npy and one.npz would both become one.npz" in reasons["one"]
     assert reasons["one"] == reasons["one~2"]
-    assert "rename it" in reasons["report"]
+    assert "rename the recording" in reasons["report"]
     assert "something other than commands" in reasons["taken"]
     assert "beside.json" in reasons["beside"]
     assert "deep is not a folder" in reasons["deep/under"]

@@ -116,7 +116,7 @@ def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
         (b"{}", "no 'landmarks' and no 'wrist'; it has nothing"),
         (b'{"points": 1}', "'points'"),
         (text(landmarks=5), "21 rows"),
-        (text(landmarks=[[1, 2], [3]]), "rows of one length"),
+        (text(landmarks=[[1, 2], [3]]), "rows of equal length"),
         (text(landmarks="hand"), "must be numbers"),
         (text(landmarks=[{}] * 21), "must be numbers"),
         (text(landmarks=POINTS[:20].tolist()), "20 points; a hand has 21"),

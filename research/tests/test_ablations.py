@@ -282,7 +282,7 @@ def test_without_recordings_there_are_enough_independent_ones():
     reach = [np.linalg.norm(one.landmarks[0, 12]) for one in (first.recording, second.recording)]
     assert reach[1] / reach[0] == pytest.approx(20 / 17, rel=0.01)
     assert first.name != second.name
-    with pytest.raises(ConfigError, match="built-in operator"):
+    with pytest.raises(ConfigError, match="synthetic hand"):
         parse_request("glove.npz@17cm")
 
 

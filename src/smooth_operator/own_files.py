@@ -55,7 +55,7 @@ def folder_problem(folder: Path) -> str:
         if status.st_mode & _OTHERS_WRITE and not sticky:
             remedy = "remove it" if place == folder else "chmod go-w"
             mode = stat.S_IMODE(status.st_mode)
-            return f"{shown} can be written by other users (mode {mode:04o}; {remedy})"
+            return f"other users can write to {shown} (mode {mode:04o}; {remedy})"
         if not stat.S_ISDIR(status.st_mode):
             return f"{shown} is not a folder"
     return ""

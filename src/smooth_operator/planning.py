@@ -281,7 +281,7 @@ def resolve_config(
         if request.scale == "calibrate":
             if recording is None:
                 raise ConfigError(
-                    "there is no recording to calibrate the scale on; give --scale a number"
+                    "the scale can't be estimated without a recording; give --scale a number"
                 )
             fixed = calibrate_scale(recording, robot)
         else:
@@ -307,7 +307,7 @@ def foreign_result(path: Path) -> str | None:
     settings_file = config_path(path)
     for existing in (path, settings_file):
         if existing.exists() and not existing.is_file():
-            return f"can't write {str(existing)!r}: it is not a plain file; {_ELSEWHERE}"
+            return f"can't write {str(existing)!r}: it is not a regular file; {_ELSEWHERE}"
     if read_configuration(settings_file) is not None:
         return None  # the other file is its result, whole or damaged
     if settings_file.exists():

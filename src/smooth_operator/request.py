@@ -17,15 +17,15 @@ METHOD_HELP: Final = (
     "(docs/how-to/plugins.md)."
 )
 PRESET_HELP: Final = (
-    "Preset of the method. Default: its first one. "
+    "Preset of the method. Default: the first one listed here. "
     + "; ".join(f"{name}: {entry.summary}" for name, entry in METHODS.items())
     + ". Any method also accepts a preset file (docs/how-to/tune.md)."
 )
 PINCH_GAPS_HELP: Final = (
-    "Correction of the gap that a tracker reports between thumb and finger when they touch. "
-    "smooth estimates it while the operator works. tracker: start with the gaps of the "
-    "source's tracker, if known (webcam and video). mediapipe: start with the gaps of "
-    "MediaPipe. off: use the landmarks unchanged."
+    "How to correct the gap that a tracker reports between thumb and finger when they touch. The "
+    "method smooth estimates this gap while the operator works. tracker: start with the known "
+    "gaps of the source's tracker (only webcam and video have some). mediapipe: start with "
+    "MediaPipe's gaps. off: use the landmarks unchanged."
 )
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
@@ -82,9 +82,9 @@ def parse_fingers(text: str) -> dict[str, str]:
         robot, sign, human = (word.strip() for word in part.partition("="))
         if not robot or (sign and not human):
             raise HandModelError(
-                f"{text!r} is not a list of fingers; expected robot fingers separated by "
-                "commas, each optionally followed by '=' and the human finger that drives "
-                "it: thumb,index,pinky=ring"
+                f"{text!r} is not a list of fingers; expected names of robot fingers separated by "
+                "commas, each optionally followed by '=' and the human finger that drives it: "
+                "thumb,index,pinky=ring"
             )
         if robot in choice:
             raise HandModelError(f"{text!r} names the finger {robot!r} twice")

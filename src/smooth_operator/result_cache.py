@@ -168,7 +168,7 @@ class ResultCache(ResultStore):
             zipfile.BadZipFile,
         ) as error:
             self.note(
-                f"{path} is damaged or of an earlier version ({error}) and will be computed again"
+                f"{path} is damaged or from an earlier version ({error}) and will be computed again"
             )
             return None
         if own_key != key_digest(key):

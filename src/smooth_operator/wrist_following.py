@@ -64,8 +64,8 @@ class WristSolver:
             if abs(axis[0]) > MOST_ALONG:
                 raise HandModelError(
                     f"hand {hand.name!r}: the wrist joint {name!r} turns about the forearm, but "
-                    "only joints that flex or deviate the wrist can follow the operator; leave it "
-                    "out of wrist_joints"
+                    "only joints that flex or deviate the wrist can follow the operator; remove "
+                    "this joint from wrist_joints"
                 )
 
     def angles(self, forearm: Float[np.ndarray, "3"]) -> Float[np.ndarray, " k"]:

@@ -234,7 +234,7 @@ def test_a_short_file_is_enough(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("format = 1", "format = 2"), "newer smooth-operator"),
+        (("format = 1", "format = 2"), "from a newer version"),
         (("operators = 18", 'operators = "18"'), "operators: expected a whole number, not '18'"),
         (("seed = 0", "sead = 0"), "sead: no such entry. Did you mean 'seed'"),
         (("trials = 10", "trials = 0"), "from 1 to 1000, not 0"),

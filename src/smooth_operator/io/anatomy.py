@@ -162,8 +162,8 @@ def of_the_other(side: Side) -> Doubt:
     """Makes the problem that is reported for a hand that is not of the declared ``side``."""
     other: Side = "left" if side == "right" else "right"
     return Doubt(
-        f"judging by its shape, this is a {other} hand: fingers and thumb would bend to the "
-        f"back of a {side} hand",
+        f"judging by its shape, this is a {other} hand: on a {side} hand, fingers and thumb would "
+        "bend backwards",
         side=other,
     )
 
@@ -291,8 +291,10 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...]) -
         return Doubt(
             "judging by the distances between them, the points do not form a hand in this or "
             "any other known order",
-            mend=f"name their order (layout {', '.join(LAYOUTS)}), or reorder them as in "
-            "smooth_operator.landmarks.LANDMARKS, in metres along three axes",
+            mend=(
+                f"name their order (layout {', '.join(LAYOUTS)}), or put them in the order of "
+                "smooth_operator.landmarks.LANDMARKS, in metres along three axes"
+            ),
         )
     order = tuple(orders[best].tolist())
     name = next((name for name, named in LAYOUTS.items() if named == order), None)

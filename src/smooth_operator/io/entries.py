@@ -58,7 +58,7 @@ class Entries:
         """Refuses a file whose entry ``format`` names another version of the file format."""
         number = self.whole("format")
         if number != version:
-            newer = "; a newer smooth-operator wrote it: update yours" if number > version else ""
+            newer = "; this file is from a newer version: update yours" if number > version else ""
             raise self.error("format", f"expected {version}, not {number}{newer}")
 
     def text(

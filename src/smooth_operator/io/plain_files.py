@@ -37,7 +37,7 @@ def check_plain_file(path: Path) -> int:
     if not stat.S_ISREG(status.st_mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
         kind = kinds.get(stat.S_IFMT(status.st_mode), "a device")
-        raise DocumentError(f"it is {kind}, not a plain file")
+        raise DocumentError(f"it is {kind}, not a regular file")
     return status.st_size
 
 

@@ -94,7 +94,7 @@ def run_tasks(
     if cluster is None:
         return _in_pool(PersistentPool(function, workers, retries), tasks)
     if workers == 0:
-        raise ConfigError("a cluster needs at least one worker; omit the number to use all")
+        raise ConfigError("a cluster needs at least one worker; omit the number to use all workers")
     _check(workers, retries)
     from smooth_operator.parallel.cluster import run_on_cluster
 
@@ -169,7 +169,7 @@ class PersistentPool(Generic[T, R]):
             except Exception as error:
                 raise ConfigError(
                     f"{function!r} can't be sent to another process ({describe(error)}); expected "
-                    "a function at the top of an importable module"
+                    "a function at the top level of an importable module"
                 ) from error
 
     def run(self, tasks: Sequence[T]) -> Generator[TaskResult[R]]:

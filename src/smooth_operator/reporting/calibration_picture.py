@@ -59,7 +59,7 @@ def _distances(axes: Any, calibration: Calibration, recording: HandRecording) ->
     axes.set_ylim(0, _SEEN_MM)
     axes.set_ylabel("thumb tip to tip [mm]")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, frameon=False, fontsize=9)
-    axes.set_title("the operator, as tracked", loc="left", fontsize=10)
+    axes.set_title("the operator's hand, as tracked", loc="left", fontsize=10)
 
 
 def _pinches(axes: Any, calibration: Calibration, recording: HandRecording) -> None:
@@ -82,4 +82,4 @@ def _pinches(axes: Any, calibration: Calibration, recording: HandRecording) -> N
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(stamps[0], stamps[-1])
     axes.set_xlabel("time [s]")
-    axes.set_title("detected pinches; a paler bar is less certain", loc="left", fontsize=10)
+    axes.set_title("detected pinches; paler bars are less certain", loc="left", fontsize=10)

@@ -98,7 +98,7 @@ def settings_from_text(settings_class: type[Any], text: str, kind: str, word: st
         if name not in fields:
             raise UnknownNameError(f"setting of {kind} {word!r}:", name, fields)
         if name in values:
-            raise ConfigError(f"{text!r} gives {name!r} twice")
+            raise ConfigError(f"{text!r} sets {name!r} twice")
         values[name] = _read(value, hints[name], f"{kind} {word!r}: {name}")
     needed = [
         name
@@ -164,18 +164,18 @@ _SOURCES: Final = "smooth_operator.teleop.sources"
 
 _ROS2: Final = "needs no ROS 2 installation"
 _DEVICE_SOURCES: Final = {
-    "angles": ("gloves that give joint angles: angles:deg, angles:rad", ""),
-    "bvh": ("a body capture that broadcasts BVH over UDP: bvh:FILE", ""),
+    "angles": ("gloves that report joint angles: angles:deg, angles:rad", ""),
+    "bvh": ("a motion-capture system that broadcasts BVH over UDP: bvh:FILE", ""),
     "isaac": ("hands from any Isaac Teleop device", "isaac"),
     "oak": ("a Luxonis OAK-D depth camera, tracked by MediaPipe", "oak"),
     "openxr": ("hands from this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),
     "realsense": ("a RealSense depth camera, tracked by MediaPipe", "realsense"),
-    "rokoko": ("gloves or suit, from Rokoko Studio", "rokoko"),
+    "rokoko": ("gloves or a suit, through Rokoko Studio", "rokoko"),
     "ros2": (f"hand poses from ROS 2 topics; {_ROS2}", "ros2"),
 }
 _DEVICE_SINKS: Final = {
     "ros2": (f"ROS 2 topics; {_ROS2}", "ros2"),
-    "rerun": ("Rerun's viewer, or a file for it", "rerun"),
+    "rerun": ("the Rerun viewer, or a file for it", "rerun"),
     "dynamixel": ("a hand of Dynamixel servos, described by a table file", "dynamixel"),
     "leap": ("the LEAP hand", "dynamixel"),
     "feetech": ("a hand of Feetech servos, described by a table file", "feetech"),
@@ -220,10 +220,10 @@ SOURCES: Final = Registry(
     "source",
     {
         "replay": Entry(
-            f"{_SOURCES}.played:Replay", "a recording, played at its own rate: replay:FILE"
+            f"{_SOURCES}.played:Replay", "a recording, played at its original rate: replay:FILE"
         ),
         "synthetic": Entry(
-            f"{_SOURCES}.played:SyntheticSource", "the built-in operator; needs no tracker"
+            f"{_SOURCES}.played:SyntheticSource", "a synthetic human hand; needs no tracker"
         ),
         "webcam": Entry(
             f"{_SOURCES}.webcam.webcam_source:Webcam",
@@ -248,7 +248,7 @@ SOURCES: Final = Registry(
         "pico": Entry(f"{_SOURCES}.programs:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
             f"{_SOURCES}.programs:ManusStream",
-            "MANUS gloves, by the ZeroMQ stream of a bridge program (zmq extra)",
+            "MANUS gloves, through a bridge program that streams over ZeroMQ (zmq extra)",
         ),
         "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
@@ -326,8 +326,12 @@ FEEDBACK: Final = Registry(
         "zmq": Entry(
             f"{_SINKS}.feedback:ZmqFeedback", "messages for a glove over ZeroMQ (zmq extra)"
         ),
-        "udp": Entry(f"{_SINKS}.feedback:UdpFeedback", "the same over UDP: udp:HOST:PORT"),
-        "webxr": Entry(f"{_SINKS}.feedback:WebXrFeedback", "pulses of the headset's controllers"),
+        "udp": Entry(
+            f"{_SINKS}.feedback:UdpFeedback", "messages for a glove over UDP: udp:HOST:PORT"
+        ),
+        "webxr": Entry(
+            f"{_SINKS}.feedback:WebXrFeedback", "vibration of the headset's controllers"
+        ),
     },
     needs=SINKS.needs,
     advice="derive the class from smooth_operator.teleop.Sink",

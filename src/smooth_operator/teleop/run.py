@@ -154,9 +154,9 @@ def teleoperate(
     fixed = request.arm is not None or request.task is not None
     if request.wrist_joints == "on" and fixed:
         raise ConfigError(
-            "--wrist-joints on can't be used with --arm or --task: an arm follows the operator's "
-            "wrist as a whole, and in a task of the study the palm does not move; remove one of "
-            "them"
+            "--wrist-joints on can't be used with --arm or --task: an arm moves the whole hand as "
+            "the operator's wrist moves, and in a study task the palm does not move; remove one "
+            "of these options"
         )
     wrist_joints = request.wrist_joints != "off" and not fixed
     settings = request.settings() | {"hand": spec, "operator": operator}
@@ -524,7 +524,9 @@ def _operator(path: Path | None, side: Side) -> OperatorProfile | None:
     if path is None:
         return None
     if not path.parent.is_dir():
-        raise ConfigError(f"{path}: there is no folder {path.parent}; create it or name another")
+        raise ConfigError(
+            f"{path}: there is no folder {path.parent}; create it or name another folder"
+        )
     return read_operator(path) if path.exists() else OperatorProfile(side)
 
 
@@ -542,9 +544,10 @@ def _with_wrist(
     for side in sides:
         if side not in mounts:
             reporter.note(
-                f"the pose that {wrist.label} gives is taken as that of the {side} wrist, because "
-                "the operator file has no place of a tracker; to find it: smooth-operator "
-                f"calibrate --wrist-source {text} --side {side} --output OPERATOR.json",
+                f"the pose from {wrist.label} is used as the pose of the {side} wrist, because "
+                "the operator file does not say where the tracker sits; to measure that: "
+                f"smooth-operator calibrate --wrist-source {text} --side {side} --output "
+                "OPERATOR.json",
                 matters=True,
             )
     return CombinedSource(hands, wrist, {side: mounts[side] for side in sides if side in mounts})
@@ -572,7 +575,7 @@ def _compiling(
 
     def compile_all() -> None:
         for side, retargeter in waiting.items():
-            reporter.note(f"{side}: compiling the method; the robot holds", matters=True)
+            reporter.note(f"{side}: compiling the method; the robot holds its pose", matters=True)
             try:
                 seconds = retargeter.warm_up()
             except Exception as error:  # raised on the loop's thread

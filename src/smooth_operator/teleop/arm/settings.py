@@ -60,7 +60,9 @@ class ArmSettings:
         if not self._from_file:
             arm_named(self.name)
             if self.tip or self.posture:
-                raise ConfigError("arm: tip and posture are for an arm from a file; remove them")
+                raise ConfigError(
+                    "arm: tip and posture can only be set for an arm from a file; remove them"
+                )
 
     @property
     def _from_file(self) -> bool:

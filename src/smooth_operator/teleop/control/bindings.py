@@ -13,7 +13,7 @@ ACTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "stop": ("EMERGENCY STOP", ("space", "escape", "x")),
     "release": ("release the stop", ("u",)),
     "pause": ("pause / resume", ("p",)),
-    "wrist": ("release / engage the wrist", ("c",)),
+    "wrist": ("release or engage the wrist clutch", ("c",)),
     "record": ("start / end a take", ("r",)),
     "keep": ("keep the take", ("k",)),
     "discard": ("delete the take", ()),
@@ -39,7 +39,7 @@ BUTTONS: Final = ("a", "b", "x", "y", "left-stick", "right-stick")
 
 INPUTS: Final = (
     f"a key (b, 7, {', '.join(NAMED_KEYS)}), pedal:CODE, pinch:FINGER (index, middle, ring or "
-    f"pinky; of one side: pinch:left-FINGER), or button:NAME ({', '.join(BUTTONS)})"
+    f"pinky; for one hand: pinch:left-FINGER), or button:NAME ({', '.join(BUTTONS)})"
 )
 _INPUT: Final = re.compile(
     rf"[a-z0-9]|{'|'.join(NAMED_KEYS)}|pedal:\d{{1,3}}|button:({'|'.join(BUTTONS)})"
@@ -76,7 +76,7 @@ def read_bindings(words: Iterable[str] = (), more: Collection[str] = ()) -> dict
             del bindings[each]
         for each in map(str.lower, inputs):
             if not _INPUT.fullmatch(each):
-                raise ConfigError(f"{where}: there is no input {each!r}; an input is {INPUTS}")
+                raise ConfigError(f"{where}: there is no input {each!r}; expected {INPUTS}")
             if bindings.get(each) == "stop" != name:
                 raise ConfigError(f"{where}: {each} always stops the robot; choose another input")
             bindings[each] = name

@@ -43,8 +43,8 @@ def pedal(
     """
     if sys.platform != "linux":
         raise ConfigError(
-            "--pedal reads an input device of Linux; on this system, bind the key that the pedal "
-            "types, such as --bind record=b, and keep the terminal or the page in front"
+            "--pedal reads a Linux input device; on this system, bind the key that the pedal "
+            "types, such as --bind record=b, and keep the focus on the terminal or the page"
         )
     device = _open(path)
     over = threading.Event()
@@ -69,11 +69,11 @@ def pedal(
             os.close(device)
             if over.is_set():
                 return
-            say(f"{path}: the pedal is gone")
+            say(f"{path}: the pedal was disconnected")
             while not over.wait(_AGAIN_S):
                 with contextlib.suppress(SourceError):
                     device = _open(path)
-                    say(f"{path}: the pedal is back")
+                    say(f"{path}: the pedal is connected again")
                     break
             else:
                 return

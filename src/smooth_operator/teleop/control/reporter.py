@@ -87,7 +87,7 @@ def summarise(
                 "the source"
             )
         else:
-            reason = "the run ended before a method was compiled, or the robot was held"
+            reason = "either the run ended before a method was compiled, or the robot was held"
         reporter.note(
             f"no command was sent for {loop.mailbox.received} frames in {seconds:.1f} s; {reason}",
             matters=True,

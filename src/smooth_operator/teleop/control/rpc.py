@@ -83,7 +83,7 @@ _MOST_RUNNING: Final = 16
 """Largest number of running commands; further ones are refused."""
 _MOST_QUEUED: Final = 4096
 """Largest number of waiting messages; further ones are refused."""
-_SILENT: Final = "the loop does not answer: it is still starting, or it hangs"
+_SILENT: Final = "the loop does not answer: it is still starting, or it has stopped responding"
 _TOO_MUCH: Final = "too many messages are waiting or in progress"
 
 
@@ -369,7 +369,9 @@ def _listening(address: str) -> tuple[Any, Any]:
     try:
         import zmq
     except ImportError:
-        raise MissingExtraError("listening for switches (--control)", "zmq") from None
+        raise MissingExtraError(
+            "listening for commands of other programs (--control)", "zmq"
+        ) from None
     context = zmq.Context()
     # ROUTER, since with REP a stop would wait for the answer to the previous message.
     socket = context.socket(zmq.ROUTER)
@@ -459,7 +461,7 @@ class RpcHandlers:
     def _method(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         method, preset = _text(fields, "method"), _text(fields, "preset")
         if method is None:
-            raise ConfigError('which method? {"do": "method", "method": "dexpilot"}')
+            raise ConfigError('name the method: {"do": "method", "method": "dexpilot"}')
         return _driven(self._await(self._switcher.choose(method, preset)))
 
     def _calibration(self, fields: Mapping[str, Any]) -> dict[str, Any]:

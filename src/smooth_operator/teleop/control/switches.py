@@ -59,7 +59,7 @@ def actions(
             controls.release()
             say("released")
         else:
-            say("not stopped: there is nothing to release")
+            say("the robot is not stopped, so there is nothing to release")
 
     def pause() -> None:
         if any(supervisor.stopped for supervisor in supervisors):
@@ -77,7 +77,10 @@ def actions(
         say(
             "wrist: engages"
             if released
-            else f"wrist released; to engage it: {by('wrist')}; the fingers continue"
+            else (
+                f"wrist clutch released; to engage it: {by('wrist')}; the fingers continue to "
+                "follow"
+            )
         )
 
     return {"stop": stop, "release": release, "pause": pause, "wrist": wrist, "quit": controls.quit}

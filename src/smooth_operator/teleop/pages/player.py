@@ -72,7 +72,7 @@ class Playback:
         for name in ("joint_positions", "robot_tips", "robot_wrist"):
             if not np.isfinite(getattr(self.trace, name)).all():
                 raise HandModelError(
-                    f"{name} contains NaN or infinity; repeat the last good value instead"
+                    f"{name} contains NaN or infinity; repeat the last valid value instead"
                 )
 
     def __len__(self) -> int:

@@ -209,7 +209,7 @@ def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _
     # on standard error, since another program may read standard output
     port = page._wanted_port
     note = "" if port in (0, page.port) else f" (port {port} was taken)"
-    print_note(f"{doing} {page.url}{note}{'; Ctrl-C ends' if block else ''}")
+    print_note(f"{doing} {page.url}{note}{'; press Ctrl-C to stop' if block else ''}")
     if open_browser:
         open_page(page.url)
     if block:

@@ -86,7 +86,9 @@ def edit_logs(
     for path, output in zip(paths, outputs, strict=True):
         read_log(path)  # checks its messages
         if output.exists() and output.samefile(path):
-            raise OutputError(f"{path}: a take is not edited in place; name another --output")
+            raise OutputError(
+                f"{path}: a recording can't be edited in place; name another --output"
+            )
     start = min(_start(path) for path in paths)
     return [_copy(path, to, edit, start) for path, to in zip(paths, outputs, strict=True)]
 
@@ -99,7 +101,7 @@ def _start(path: Path) -> int:
             topics[record.id] = record.topic
         elif isinstance(record, mcap_records.Message) and topics[record.channel_id] in _TIMED:
             return int(record.log_time)
-    raise RecordingError(f"{path}: the log has neither frames nor commands")
+    raise RecordingError(f"{path}: the log contains neither frames nor commands")
 
 
 def _readable(path: Path) -> Iterable[Any]:
@@ -169,10 +171,12 @@ def _copy(path: Path, output: Path, edit: Edit, start: int) -> Mapping[str, Any]
                 writer.add_message(number, record.log_time, data, record.log_time, record.sequence)
                 count += topic in _TIMED
         if not count:
-            raise RecordingError(f"{path}: nothing of the take would be kept")
+            raise RecordingError(f"{path}: nothing of the recording would be kept")
         if marks:
             time, words = marks[0]
-            raise RecordingError(f"{path}: the mark {words!r} at {time:g} s is after all commands")
+            raise RecordingError(
+                f"{path}: the mark {words!r} at {time:g} s is after the last command"
+            )
         meta = json_object(origin.get("meta", "")) or {}
         meta[EDITS] = [*meta.get(EDITS, []), entry]
         writer.add_metadata(ORIGIN, {**origin, "name": output.stem, "meta": to_json(meta)})

@@ -203,7 +203,7 @@ class LogWriter:
         if self._names not in (None, names):
             raise RecordingError(
                 f"{self.path}: the joints of the command differ from those of the previous "
-                f"command; write each robot hand to its own log (were {self._names}, are "
+                f"command; write each robot hand to a separate log (were {self._names}, are "
                 f"{names})"
             )
         stamp = float(command.stamp)
@@ -416,8 +416,8 @@ class LogWriter:
     def _check_open(self) -> None:
         if self._writer is not None and self._stream is None:
             raise OutputError(
-                f"can't write {str(self.path)!r}: the log is closed, or stopped after an "
-                "error; open a new log"
+                f"can't write {str(self.path)!r}: the log is closed, or writing has stopped after "
+                "an error; open a new log"
             )
 
 

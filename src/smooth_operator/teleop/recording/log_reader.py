@@ -146,7 +146,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     path = Path(path)
     if file_kind(path) != "log":
         raise RecordingError(
-            f"{path}: not a log, but a file of another format; expected the .mcap that "
+            f"{path}: this is not a log, but a file in another format; expected the .mcap that "
             "`smooth-operator teleop --sink record:take.mcap` writes"
         )
     tables, metadata, truncated = _read_tables(path)
@@ -313,7 +313,7 @@ def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
         raise RecordingError(f"{path}: can't be read: {error.strerror or error}") from error
     if foreign and not any(tables.values()):
         raise RecordingError(
-            f"{path}: an MCAP file of another program, with the topics "
+            f"{path}: an MCAP file from another program, with the topics "
             f"{listed(sorted(foreign))}; if it is a ROS 2 bag, play it (ros2 bag play) and read "
             "the topic of the hand live: smooth-operator teleop --source ros2"
         )
@@ -336,7 +336,9 @@ def _is_own(channel: Any, path: Path) -> bool:
 def _method(texts: dict[str, str]) -> MethodUse:
     stamp = float(texts["stamp"])
     if not math.isfinite(stamp):
-        raise ValueError(f"the timestamp of a method is {stamp}")
+        raise ValueError(
+            f"a method change in the log has the timestamp {stamp}, which is not a finite number"
+        )
     return MethodUse(stamp, texts["method"], texts["preset"], _object(texts["config"]))
 
 
@@ -350,8 +352,8 @@ def _object(text: str) -> dict[str, Any]:
 def _not_ours(path: Path, error: Exception) -> RecordingError:
     missing = f"it has no {error}" if isinstance(error, KeyError) else str(error)
     return RecordingError(
-        f"{path}: a message of the log lacks a field or has a wrong one ({missing[:200]}); it was "
-        "not written by this program, or is damaged"
+        f"{path}: a message of the log lacks a field, or a field is wrong ({missing[:200]}); it "
+        "was not written by this program, or is damaged"
     )
 
 
@@ -567,7 +569,7 @@ def _read_states(table: _Table) -> StateTrajectory | None:
         raise ValueError(f"a hand with {fingers} fingers in contact")
     # Many short messages and a long one must not make a large array.
     if len(sizes) * max(sizes) > FREE_BYTES + ARRAYS_RATIO * sum(sizes):
-        raise ValueError("few of the measured states have touch values, and those have too many")
+        raise ValueError("few of the measured states have touch values, and these have too many")
     return StateTrajectory(
         table.stamps(),
         table.present("positions", len(names)),

@@ -96,8 +96,8 @@ class CalibrationSession:
         arrived."""
         if not self._frames:
             raise RecordingError(
-                f"no frame of a {self.side} hand arrived from the tracker; check that the "
-                "tracker is on and which hand it sees"
+                f"no frame of a {self.side} hand arrived from the tracker; check that the tracker "
+                "is switched on, and which hand it sees"
             )
         frames = [arrival.frame for arrival in self._frames]
         nowhere = np.full(7, np.nan)

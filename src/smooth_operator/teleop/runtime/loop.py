@@ -359,7 +359,7 @@ class Controls:
         self.change(lambda hand: hand.supervisor.resume())
 
     def follow(self, on: bool) -> None:
-        """Engages or releases the wrist clutch; the fingers continue to follow."""
+        """Engages or releases the wrist clutch; the fingers continue to follow to follow."""
         self.change(lambda hand: hand.clutch.follow(on))
 
     def stop(self) -> None:

@@ -56,7 +56,7 @@ def implausible(frame: HandFrame) -> str | None:
     numbers, so that frames can be counted by reason.
     """
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
-        return "a timestamp that is not a time in seconds"
+        return "the timestamp is not a time in seconds"
     p = frame.landmarks
     if (np.abs(p[frame.valid] - p[WRIST]) > REACH_M).any():
         return _FAR
@@ -228,9 +228,9 @@ class Supervisor:
         return Mode.TRACKING
 
 
-SWITCHED: Final = "another method, or other settings"
+SWITCHED: Final = "changed to another method or to other settings"
 """Event of the first tick after a switch. ``Tick.driver`` has the details."""
-COMPILING: Final = "compiling the method, robot holding"
+COMPILING: Final = "compiling the method; the robot holds its pose"
 COMPILED: Final = "the method is compiled"
 """Event of the first tick after the robot was held while its method was compiled."""
 NOT_FINITE: Final = "the command was not finite; the last one is repeated"
@@ -434,7 +434,7 @@ class HandPipeline:
             self.filled[finger] += 1
         if filled != self._filled:
             self._filled = filled
-            lost = f"{' and '.join(filled)} not seen, filled in" if filled else "all seen again"
+            lost = f"{' and '.join(filled)} not seen and filled in" if filled else "all seen again"
             self.note(f"fingertips: {lost}")
         return arrival if self.supervisor.listens else None
 
@@ -572,4 +572,4 @@ def advice(doubt: Doubt) -> str:
         return f"landmarks in the order {doubt.layout!r}; for a source, set layout={doubt.layout}"
     if doubt.mend:
         return f"{doubt.what}; {doubt.mend}"
-    return f"landmarks are in another order; reorder them: points[{list(doubt.order or ())}]"
+    return f"the landmarks are in another order; reorder them: points[{list(doubt.order or ())}]"

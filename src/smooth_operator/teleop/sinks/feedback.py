@@ -125,7 +125,7 @@ class Feedback(ThreadedSink):
     @property
     def note(self) -> str:
         """Note for the user; empty if all is well."""
-        return "the robot hand measures no contact" if self._counts.unmeasured else ""
+        return "the robot hand does not measure contact" if self._counts.unmeasured else ""
 
     @property
     def figures(self) -> dict[str, Any]:

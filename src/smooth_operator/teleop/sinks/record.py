@@ -83,7 +83,7 @@ class RecordSink(Sink):
         if not lost:
             return ""
         ticks = "1 tick is" if lost == 1 else f"{lost} ticks are"
-        return f"{ticks} not recorded: the disk was too slow or failed"
+        return f"{ticks} not recorded, because the disk was too slow or failed"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Refuses an existing file, or a folder that can't be created; see ``Sink``."""
@@ -95,7 +95,7 @@ class RecordSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Creates the files; see ``Sink``."""
         if self._recorder is not None:
-            raise SinkError(f"{self.label}: it is already open")
+            raise SinkError(f"{self.label}: the sink is already open")
         sides = list(hands)
         if self._history:
             files = next_part(self.path, sides)
@@ -114,7 +114,7 @@ class RecordSink(Sink):
     def send(self, tick: Tick) -> None:
         """Puts a tick into the buffer. OutputError if the disk is full or gone; raised once."""
         if self._recorder is None:
-            raise SinkError(f"{self.label}: it is not open")
+            raise SinkError(f"{self.label}: the sink is not open")
         self._recorder.put(tick)
 
     def stalled(self, seconds: float) -> None:
@@ -233,7 +233,7 @@ class Recorder:
                 return
             if self._missed:
                 self._events.append(
-                    f"{self._missed} ticks before this one are not recorded: the disk is too slow"
+                    f"{self._missed} ticks before this one were not recorded: the disk is too slow"
                 )
                 self._missed = 0
             if self._stalled:
@@ -406,8 +406,8 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
         present = [] if overwrite else [file for file in files.values() if file.exists()]
         if present:
             raise OutputError(
-                f"can't write {str(present[0])!r}: the file already exists; choose another "
-                "name, name a folder for numbered takes, or set overwrite=true"
+                f"can't write {str(present[0])!r}: the file already exists; choose another name, "
+                "name a folder, which gets numbered takes, or set overwrite=true"
             )
         return files
     try:

@@ -96,7 +96,7 @@ class Simulation(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Builds the models and starts the simulation; see ``Sink``."""
         if self._world is not None:
-            raise SinkError("mujoco: it is already open")
+            raise SinkError("mujoco: the sink is already open")
         physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
         self._set(_world=World(physics, self._events, self._arms, self.full_force))
 
@@ -122,7 +122,7 @@ class Simulation(Sink):
         with self._swapping:
             if self._world is not before:
                 raise SinkError(
-                    "mujoco: it was closed, or another task was requested in the meantime"
+                    "mujoco: the sink was closed, or another task was requested in the meantime"
                 )
             world = World(physics, self._events, self._arms, self.full_force)
             self._set(_task=task, _world=world)

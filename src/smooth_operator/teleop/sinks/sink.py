@@ -211,14 +211,14 @@ class ThreadedSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Opens the sink; see ``Sink``."""
         if self._sender() is not None:
-            raise SinkError(f"{self.label}: it is already open")
+            raise SinkError(f"{self.label}: the sink is already open")
         self._set(_now=_Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
         """Leaves a command for the thread; SinkError, with the reason, if the thread has failed."""
         sender = self._sender()
         if sender is None:
-            raise SinkError(f"{self.label}: it is not open")
+            raise SinkError(f"{self.label}: the sink is not open")
         sender.post(tick)
 
     def stalled(self, seconds: float) -> None:
@@ -272,7 +272,8 @@ class _Sender:
         self._thread.join(_PATIENCE)
         if self._thread.is_alive():
             raise SinkError(
-                f"{self._label}: the other side does not answer; it was left in its last state"
+                f"{self._label}: the device or program at the other end does not respond; it stays "
+                "in its last state"
             )
 
     def _run(self) -> None:

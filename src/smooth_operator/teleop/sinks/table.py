@@ -56,7 +56,7 @@ class TableSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Starts drawing; see ``Sink``."""
         if self._thread is not None:
-            raise SinkError("table: it is already open")
+            raise SinkError("table: the sink is already open")
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
         self._set(_thread=_Drawing(panels, open_console(stderr=True), self.rate))
 

@@ -215,7 +215,7 @@ def encode(message: Mapping[str, Any]) -> bytes:
 
 def _finite(values: list[float]) -> list[float]:
     if not all(map(math.isfinite, values)):
-        raise SinkError(f"a command that is not finite is not sent: {values}")
+        raise SinkError(f"a command with values that are not finite was not sent: {values}")
     return values
 
 

@@ -447,7 +447,7 @@ class GrpcInbox(Inbox):
     def _words(self, error: Any) -> str:
         code = error.code().name if callable(getattr(error, "code", None)) else "error"
         if code == "CANCELLED":
-            return f"{self.address} sends nothing; reconnecting"
+            return f"{self.address} does not send anything; reconnecting"
         if code == "UNIMPLEMENTED":
             return (
                 f"{self.address} is a gRPC server without hand tracking; check the address and port"
@@ -456,7 +456,7 @@ class GrpcInbox(Inbox):
             return f"{self.address} sends messages longer than {self._longest} bytes"
         text = " ".join(str(error.details() or "").split())[:_WORDS]
         return (
-            f"can't connect to {self.address} ({code}: {text}); check that the app is "
-            "running, that it shows this address, and that the headset is on this network. "
-            "Trying again"
+            f"can't connect to {self.address} ({code}: {text}); check that the app is running, "
+            "that it shows this address, and that the headset is on this network. Trying to "
+            "connect again"
         )

@@ -269,7 +269,7 @@ def _read_hand(
         return Reading(frame, stamp is not None, read_session(message))
     if field_name is None:
         keys = ", ".join(map(short, list(message)[:8])) or "nothing"
-        raise RecordingError(f"{_WHERE} has no 'landmarks' and no 'wrist'; it has {keys}")
+        raise RecordingError(f"{_WHERE} has neither 'landmarks' nor 'wrist'; it has {keys}")
     points, turned = read_points(
         message[field_name], f"'{field_name}'", quaternion=forms.quaternion, matrix=forms.matrix
     )
@@ -323,7 +323,9 @@ def _checked_side(side: Side | None) -> Side:
 def _flags(valid: Any, count: int, rows: np.ndarray) -> np.ndarray:
     good = isinstance(valid, list) and all(isinstance(flag, (bool, int)) for flag in valid)
     if not good or len(valid) not in (count, len(rows)):
-        raise RecordingError(f"'valid' must be {count} values true or false, not {short(valid)}")
+        raise RecordingError(
+            f"'valid' must be {count} values that are true or false, not {short(valid)}"
+        )
     flags: np.ndarray = np.array(valid, bool)
     return flags[rows] if len(flags) == count else flags
 
@@ -431,7 +433,7 @@ def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
     try:
         return np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"{what} must be numbers in rows of one length: {error}") from error
+        raise RecordingError(f"{what} must be numbers in rows of equal length: {error}") from error
 
 
 def short(value: Any) -> str:
@@ -494,7 +496,7 @@ def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | Non
         f"; it looks like {_NAMES[likely]} (multiply by {1 / _PARTS[likely]:g}); send "
         f"seconds, or set stamp_unit={likely} for the source"
         if likely
-        else "; set stamp_unit=s, ms, us or ns for the source, as the tracker sends it"
+        else "; set stamp_unit=s, ms, us or ns for the source, whichever the tracker sends"
     )
     expected = "in seconds" if unit == "s" else f"in {unit} (stamp_unit={unit})"
     raise RecordingError(f"the timestamp must be {expected}, not {stamp:.6g}{hint}")

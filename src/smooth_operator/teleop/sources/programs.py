@@ -208,8 +208,8 @@ class HtsSource(StreamSource):
     def hint(self) -> str:
         """Advice before the first message."""
         if self.host in LOCAL:
-            return ", this computer only (by cable); for Wi-Fi use hts:0.0.0.0"
-        return "; in the app, set this computer's address, the port and the protocol"
+            return ", from this computer only (by cable); for Wi-Fi use hts:0.0.0.0"
+        return "; in the app, enter this computer's address, the port and the protocol"
 
     def connect(self) -> Inbox:
         """Takes the ports."""
@@ -286,7 +286,7 @@ class PicoSource(StreamSource):
     def hint(self) -> str:
         """Advice before the first message."""
         if self.host in LOCAL:
-            return ", this computer only; for a headset on the network use pico:0.0.0.0"
+            return ", from this computer only; for a headset on the network use pico:0.0.0.0"
         return "; in the app, enter this computer's address, then switch on Hand and Send"
 
     def connect(self) -> Inbox:
@@ -486,7 +486,7 @@ def _read_nodes(
     if len(targets) < NODES:
         missing = sorted(set(range(NODES)) - set(targets))
         raise RecordingError(
-            f"'{key}' must contain the nodes 0 to {NODES - 1}, but lacks {missing}"
+            f"'{key}' must contain the nodes 0 to {NODES - 1}, but these are missing: {missing}"
         )
     sorted_rows = np.empty((NODES, rows.shape[1]))
     sorted_rows[targets] = rows[places]
@@ -517,12 +517,12 @@ def _read_objects(nodes: Sequence[Any], key: str) -> tuple[list[int], Float[np.n
                 rows.append([*(place[k] for k in "xyz"), *(turn[k] for k in "wxyz")])
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(
-            f"each of the '{key}' must have 'id', 'pos' (x, y, z) and 'quat' (w, x, y, z), "
-            f"or 'node_id' and 'pose'; one does not: {type(error).__name__}: {error}"
+            f"each node in '{key}' must have 'id', 'pos' (x, y, z) and 'quat' (w, x, y, z), or "
+            f"'node_id' and 'pose'; one of them does not: {type(error).__name__}: {error}"
         ) from error
     read = read_numbers(rows, f"'pos' and 'quat' of the '{key}'")
     if read.shape != (len(nodes), 7):
-        raise RecordingError(f"each of the '{key}' must have 3 + 4 numbers, not {read.shape[1:]}")
+        raise RecordingError(f"each node in '{key}' must have 3 + 4 numbers, not {read.shape[1:]}")
     return ids, read
 
 
@@ -535,7 +535,7 @@ def _read_csv(
     if len(fields) not in (_CSV_HAND, 2 * _CSV_HAND):
         raise RecordingError(
             f"the message is neither JSON nor {_CSV_HAND} or {2 * _CSV_HAND} fields separated by "
-            f"commas, but {len(fields)}"
+            f"commas; it has {len(fields)} fields"
         )
     readings = []
     for start in range(0, len(fields), _CSV_HAND):

@@ -124,7 +124,10 @@ class LivePanel:
             f"Record{shown['record']}", color="gray", icon=viser.Icon.PLAYER_RECORD
         )
         self._name = gui.add_text(
-            "Name", "", visible=False, hint="of the take; Space and X also stop the robot here"
+            "Name",
+            "",
+            visible=False,
+            hint=("name of the take; Space and X also stop the robot while you type"),
         )
         self._keep = gui.add_button(f"Keep{shown['keep']}", icon=viser.Icon.CHECK, visible=False)
         self._discard = gui.add_button(
@@ -178,7 +181,7 @@ class LivePanel:
         self._meshes_box = switch("Meshes", True, "set_meshes", hint, visible=False)
         if self._scene.simulated:
             self._own = switch("Own hand at a task", False, "set_own", "as tracked")
-            hint = "transparent, at its measured pose"
+            hint = "transparent, in its measured pose"
             self._simulated = switch("Simulated hand", True, "set_simulated", hint)
         self._sound = gui.add_checkbox(
             "Sound of contact",

@@ -105,7 +105,7 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
     if quality.collision is None:
         collision = "self-collision can't be measured"
     else:
-        collision = f"self-collision {100 * quality.collision:.0f} % of poses"
+        collision = f"self-collision in {100 * quality.collision:.0f} % of poses"
         collision += f", {quality.depth_mm:.1f} mm deep" if quality.collision else ""
     held = (("stopped", quality.stopped_s), ("paused", quality.paused_s))
     return [
@@ -132,8 +132,8 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
     if simulated:
         hands.append(("■", css(SIMULATED), other))
     marks = [
-        ("●", css(HIGHLIGHT), "fingertip and line of a pinch"),
-        ("•", css(PALM), "small ball: fingertip target of the method"),
+        ("●", css(HIGHLIGHT), "fingertip and line of a finger that pinches"),
+        ("•", css(PALM), "small ball: the method's fingertip target"),
     ]
     colors = map(css, finger_colors(len(fingers)))
     chips = [("⬤", color, name) for name, color in zip(fingers, colors, strict=True)]

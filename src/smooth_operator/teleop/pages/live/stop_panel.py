@@ -20,8 +20,8 @@ from smooth_operator.teleop.pages.viser_server import (
 )
 
 _STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
-_KEYS: Final = "Stop in the terminal of the run: Space, Esc or X."
-_NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
+_KEYS: Final = "To stop, press Space, Esc or X in the terminal where teleop runs."
+_NO_KEYS: Final = "To stop, press Ctrl-C in the terminal where teleop runs."
 
 
 class StopPanel:

@@ -169,7 +169,10 @@ def open_camera(name: int | str, width: int, height: int, rate: float) -> Captur
         there, _ = capture.read()
         if there:
             return capture
-        trouble = "it can be opened, but delivers no picture; check that no other program uses it"
+        trouble = (
+            "the camera can be opened, but delivers no picture; check that no other program is "
+            "using it"
+        )
     else:
         trouble = "it can't be opened"
     capture.release()
@@ -184,7 +187,11 @@ def _advice(cv2: Any, name: int | str) -> str:
     if sys.platform.startswith("linux"):
         devices = sorted(glob.glob("/dev/video*"))
         shut = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
-        there = f"of these: {', '.join(devices)}" if devices else "no camera: /dev/video* is empty"
+        there = (
+            f"of these: {', '.join(devices)}"
+            if devices
+            else ("there is no camera, because /dev/video* is empty")
+        )
         advice += f" This machine has {there}."
         if shut:
             advice += (
@@ -198,7 +205,10 @@ def _advice(cv2: Any, name: int | str) -> str:
     elif sys.platform == "win32":
         advice += " Allow desktop apps to use the camera: Settings, Privacy & security, Camera."
     if name == 0:
-        advice += " Another camera has the number 1 or more; the source video:FILE needs none."
+        advice += (
+            " To use another camera, set its number (1 or more); the source video:FILE needs no "
+            "camera."
+        )
     return advice
 
 
@@ -232,7 +242,7 @@ class VideoFile:
         if not self._capture.isOpened() or not self._capture.grab():
             self.close()
             raise SourceError(
-                f"{path}: it can't be read as a video; H.264 in .mp4 works everywhere: "
+                f"{path}: the file can't be read as a video; H.264 in .mp4 works everywhere: "
                 "ffmpeg -i INPUT -c:v libx264 out.mp4"
             )
         self._grabbed = True

@@ -518,16 +518,16 @@ def _fetch(url: str, sha256: str, target: Path, progress: Progress) -> None:
         if digest.hexdigest() != sha256:
             raise SourceError(
                 f"the download from {url} is not the published hand landmarker: SHA-256 "
-                f"{digest.hexdigest()}, expected {sha256}. It was deleted. A proxy may have "
-                "answered instead; get the file another way and set its path with "
-                f"model=PATH, or in the environment variable {SWITCH}"
+                f"{digest.hexdigest()}, expected {sha256}. The download was deleted. A proxy may "
+                "have answered instead of the server; get the file in another way and set its "
+                f"path with model=PATH, or in the environment variable {SWITCH}"
             )
 
 
 def _unreachable(url: str, target: Path, cause: object) -> SourceError:
     reason = cause.reason if type(cause) is urllib.error.URLError else cause
     return SourceError(
-        f"the hand-landmarker model can't be downloaded ({reason}). Without a network, "
+        f"the hand-landmarker model can't be downloaded ({reason}). Without a network connection, "
         f"download {url} on another machine and copy it to {target}, or set its path with "
         f"model=PATH or the environment variable {SWITCH}"
     )

@@ -165,7 +165,9 @@ class Video(_Pictures):
                 if not self.loop or running.stopping.is_set():
                     break
                 video, session = VideoFile(self.path), session + 1
-        late = f", {counts['late']} skipped because they were late" if counts["late"] else ""
+        late = (
+            f", {counts['late']} pictures skipped because they were late" if counts["late"] else ""
+        )
         tried = counts["pictures"] - counts["late"]
         detail = f"a hand in {counts['hands']} of {tried} pictures{late}"
         running.health = SourceHealth("running", detail)

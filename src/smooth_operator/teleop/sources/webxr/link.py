@@ -219,7 +219,9 @@ class Link:
             await connection.close(NOT_UNDERSTOOD, "expected a greeting with the pairing code")
             return False
         if answer.get("protocol") != PROTOCOL:
-            await connection.close(NOT_UNDERSTOOD, "the page is of another version: reload it")
+            await connection.close(
+                NOT_UNDERSTOOD, "this page is from another version of the program: reload it"
+            )
             return False
         verdict = self._pairing.check(code, address)
         if verdict == "wrong":
