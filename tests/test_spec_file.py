@@ -136,7 +136,11 @@ def test_a_file_from_windows(tmp_path):
     ("old", "new", "message"),
     [
         ("format = 1", "", "format: is missing"),
-        ("format = 1", "format = 2", "format: expected 1, not 2; this file is from a newer version"),
+        (
+            "format = 1",
+            "format = 2",
+            "format: expected 1, not 2; this file is from a newer version",
+        ),
         ("format = 1", "format = true", "format: expected a whole number, not True"),
         ("format = 1", "format = = 1", r"not well-formed TOML: .*line 2"),
         ('side = "left"', 'side = "Left"', "side: expected 'right' or 'left', not 'Left'"),

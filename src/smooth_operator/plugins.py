@@ -141,9 +141,7 @@ class Registry(Mapping[str, Entry]):
         """Adds a part in this process only; ConfigError if another part has the name."""
         present = self.get(name)
         if present is not None and present.target != entry.target:
-            raise ConfigError(
-                f"{entry.target}: there already is a {self.kind} {name!r}; choose another name"
-            )
+            raise ConfigError(f"{entry.target}: there is another {self.kind} {name!r}; rename it")
         self._added[name] = entry
 
     def __getitem__(self, name: str) -> Entry:

@@ -291,10 +291,8 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...]) -
         return Doubt(
             "judging by the distances between them, the points do not form a hand in this or "
             "any other known order",
-            mend=(
-                f"name their order (layout {', '.join(LAYOUTS)}), or put them in the order of "
-                "smooth_operator.landmarks.LANDMARKS, in metres along three axes"
-            ),
+            mend=f"name their order (layout {', '.join(LAYOUTS)}), or reorder them as in "
+            "smooth_operator.landmarks.LANDMARKS, in metres along three axes",
         )
     order = tuple(orders[best].tolist())
     name = next((name for name, named in LAYOUTS.items() if named == order), None)
