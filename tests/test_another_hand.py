@@ -163,7 +163,9 @@ def test_what_can_not_be_retargeted(source, tmp_path, takes):
             retarget_dataset(folder, tmp_path / "new", request(NEW, **changes))
         assert not (tmp_path / "new").exists()
 
-    refused(source, "it has only the right human hand, but side 'left' was requested", side="left")
+    refused(
+        source, "it contains only the right human hand, but side 'left' was requested", side="left"
+    )
     robot = tmp_path / "robot"
     write_dataset(robot, [lambda: replace(takes[0], recording=None)])
     refused(

@@ -241,4 +241,7 @@ def test_empty_cells_have_a_footnote():
         [row("a", 0.5, None), row("b", None, 0.0), row("c", None, None, "failed")]
     )
     assert "self-collision of bare left" in collision
-    assert "touch and deep of b: the human pinches in fewer than 10 frames" in pinches
+    assert (
+        "'touch' and 'deep' of b: not measured, because the human pinches in fewer than 10 frames"
+        in pinches
+    )

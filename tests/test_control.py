@@ -390,7 +390,10 @@ def test_a_key_and_a_message_release_the_wrist_alone(loop):
         loop._change()
         assert pipeline.clutch.released is released
         assert not pipeline.supervisor.paused
-    assert said == ["wrist released; to engage it: c; the fingers continue", "wrist: engages"]
+    assert said == [
+        "wrist clutch released; to engage it: c; the fingers continue to follow",
+        "wrist: engages",
+    ]
     do = RpcHandlers(loop, SimpleNamespace()).by_command["wrist"]
     assert do({"engage": False}) == {"engage": False}
     loop._change()
@@ -425,7 +428,7 @@ def test_the_table_of_inputs(tmp_path):
         (["record=space"], "space always stops the robot"),
         (["record=X"], "x always stops the robot"),
         (["stop="], "the inputs of stop can't be removed"),
-        (["record=pinch:toe"], r"no input 'pinch:toe'; an input is a key .*pedal:CODE"),
+        (["record=pinch:toe"], r"no input 'pinch:toe'; expected a key .*pedal:CODE"),
         (["record"], r"expected ACTION=INPUT, such as record=b"),
         (["missing.toml"], r"missing.toml: can't be read"),
         (["bad.toml"], r"expected a table \[bindings\]"),

@@ -616,7 +616,7 @@ def test_folder_to_dataset_and_back(tmp_path, run):
     assert run(root, "--episode", 1, "--output", tmp_path / "one.mcap")[0] == 0
     assert read_episode(tmp_path / "one.mcap").name == "one"
     assert (
-        "it has no episode 2; it has 2, 0 to 1"
+        "there is no episode 2; the data set has 2, with the numbers 0 to 1"
         in run(root, "--episode", 2, "--output", tmp_path / "no.npz")[1]
     )
     status, err = run(source, "--to", "mcap", "--output", tmp_path / "logs")
@@ -845,14 +845,16 @@ def test_hdf5_of_another_program_or_time(tmp_path):
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         file["observations/qpos"] = np.zeros((3, 7))
-    with pytest.raises(RecordingError, match="no group 'hand' or 'commands', but observations"):
+    with pytest.raises(RecordingError, match="no group 'hand' or 'commands', only observations"):
         read_recording(path)
     path = write(tmp_path, episode(parts="commands"), "hdf5")
     with pytest.raises(RecordingError, match="contains commands, but no hand frames"):
         read_recording(path)
     with h5py.File(path, "r+") as file:
         file.attrs["version"] = 9
-    with pytest.raises(RecordingError, match="version 9, this program reads version 1; upgrade"):
+    with pytest.raises(
+        RecordingError, match="version 9, but this program reads version 1; upgrade"
+    ):
         read_episode(path)
     path.write_bytes(path.read_bytes()[:-50])
     with pytest.raises(RecordingError, match="damaged or incomplete"):

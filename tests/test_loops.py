@@ -216,7 +216,7 @@ def test_a_loop_that_no_polynomial_fits_is_refused_with_its_error(run, tmp_path,
             ),
             "'index_proximal' of a closed loop has 2 joints",
         ),
-        (('pos="0 0.024 0.031"', 'pos="0 0.024 0.231"'), "can't be solved: it closes in 0 of"),
+        (('pos="0 0.024 0.031"', 'pos="0 0.024 0.231"'), "can't be solved: it closes in only 0 of"),
     ],
 )
 def test_loops_that_can_not_be_solved_are_refused(tmp_path, change, message):

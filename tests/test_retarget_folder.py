@@ -339,7 +339,7 @@ def test_the_command_retargets_a_folder_and_lists_failures(
     assert (status, err) == (0, "")
     report = json.loads(out)
     assert (report["episodes"], report["failed"]) == (7, {})
-    assert "1 clip: the side is not stated; assuming right" in report["notes"][0]
+    assert "1 clip: the side is not stated, so right is assumed" in report["notes"][0]
     sides = {}
     for name in ("norate", "deep/[bold]empty"):
         config = json.loads((output / f"{name}.json").read_text(encoding="utf-8"))
@@ -359,7 +359,7 @@ def test_every_run_shows_the_notes_on_the_reading(run, tmp_path):
     for _ in range(2):
         status, out, err = run(*options)
         assert status == 0, err
-        assert "1 clip: not read: is_tracked" in out
+        assert "1 clip: ignored: is_tracked" in out
 
 
 def test_requests_that_the_command_refuses(run, folder, tmp_path):

@@ -213,7 +213,7 @@ def test_a_message_may_be_the_pose_of_a_tracker():
     frame = reading.frame
     assert (frame.side, frame.stamp, frame.world, frame.valid.any()) == ("left", 2.5, "room", False)
     assert frame.T_world_wrist.tolist() == message["wrist"]
-    with pytest.raises(RecordingError, match="has no 'landmarks' and no 'wrist'; it has 'side'"):
+    with pytest.raises(RecordingError, match="has neither 'landmarks' nor 'wrist'; it has 'side'"):
         read_payload(b'{"side": "left"}', side=None, received=1.0)
 
 
@@ -237,5 +237,5 @@ def test_a_run_uses_the_places_of_both_hands_and_the_gaps_of_one(tmp_path, caplo
     np.testing.assert_allclose(placed[0].T_world_wrist[:3], [0.3, -0.2, 1.1], atol=1e-9)
     assert {f.T_world_wrist is None for f in frames if f.side == "left"} == {True}
     said = [record.message for record in caplog.records]
-    assert [text for text in said if "taken as that of the left wrist" in text]
-    assert not [text for text in said if "taken as that of the right wrist" in text]
+    assert [text for text in said if "used as the pose of the left wrist" in text]
+    assert not [text for text in said if "used as the pose of the right wrist" in text]
