@@ -252,9 +252,9 @@ def test_parts_share_a_folder(tmp_path):
 
 def test_a_folder_of_another_format_or_options_is_refused(tmp_path):
     write("webdataset", tmp_path / "out", [robot_clip()])
-    with pytest.raises(ConfigError, match="begun with format"):
+    with pytest.raises(ConfigError, match="started with format"):
         WRITERS.load("parquet").open(tmp_path / "out", OPTIONS)
-    with pytest.raises(ConfigError, match="begun with rate = null, not 15"):
+    with pytest.raises(ConfigError, match="started with rate = null, not 15"):
         WRITERS.load("webdataset").open(tmp_path / "out", replace(OPTIONS, rate=15.0))
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="it is a file; name a folder"):

@@ -160,7 +160,7 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
     assert [item.name for item in found.items] == ["good"]
     assert found.passed_over[".npz"] == 2
     assert main(["latency", str(tmp_path / "x.npz")]) == 2
-    assert "plain file" in capsys.readouterr().err
+    assert "regular file" in capsys.readouterr().err
 
 
 def test_one_damaged_file_does_not_end_a_search(tmp_path):

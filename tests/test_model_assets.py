@@ -272,7 +272,7 @@ def test_a_name_of_a_pipe_is_refused(tag, reader, tmp_path):
     path.write_text(world("<body><joint/>" + GEOM + "</body>", inner))
     verdict = reader.read("hostile_files:discovery", path)
     assert (verdict.sound, verdict.outcome) == (True, "refused"), verdict
-    with pytest.raises(HandModelError, match=r"names 'pipe.stl': it is a pipe, not a plain file"):
+    with pytest.raises(HandModelError, match=r"names 'pipe.stl': it is a pipe, not a regular file"):
         load_model(path)
 
 

@@ -126,7 +126,7 @@ def huge(entry: Path, elsewhere: Path) -> None:
     [
         (with_mode(0o666), "it can be written by other users"),
         (linked, "symbolic link"),
-        (pipe, "it is not a plain file"),
+        (pipe, "it is not a regular file"),
         (huge, "more than 268435456"),
         pytest.param(of_another, "it belongs to another user", marks=as_root),
     ],
@@ -155,7 +155,7 @@ def test_a_secret_is_not_read_where_others_can(tmp_path):
         read_own_file(file, 5)
     with pytest.raises(FileNotFoundError):
         read_own_file(tmp_path / "none" / "x", 5)
-    with pytest.raises(DocumentError, match="not a plain file"):
+    with pytest.raises(DocumentError, match="not a regular file"):
         read_own_file(tmp_path, 5)
 
 

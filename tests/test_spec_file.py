@@ -183,7 +183,7 @@ def test_mistakes_are_named(tmp_path, old, new, message):
 def test_files_that_are_not_spec_files(tmp_path):
     with pytest.raises(HandModelError, match=r"no spec file at .*no\.toml"):
         load_hand("no.toml")
-    with pytest.raises(HandModelError, match="it is a folder, not a plain file"):
+    with pytest.raises(HandModelError, match="it is a folder, not a regular file"):
         read_hand_spec(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(HandModelError, match="not text in UTF-8"):

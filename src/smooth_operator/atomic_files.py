@@ -78,7 +78,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         A binary file, open for writing (and seekable).
 
     Raises:
-        OutputError: no such folder, no permission, no space, or ``path`` is not a plain file.
+        OutputError: no such folder, no permission, no space, or ``path`` is not a regular file.
 
     Example:
         >>> with atomic_write("result.json") as file:  # doctest: +SKIP
@@ -86,8 +86,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """
     target = Path(os.path.realpath(path))
     if os.path.exists(target) and not os.path.isfile(target):
-        # os.replace would happily put a plain file in the place of /dev/null.
-        kind = "a folder" if os.path.isdir(target) else "not a plain file"
+        # os.replace would happily put a regular file in the place of /dev/null.
+        kind = "a folder" if os.path.isdir(target) else "not a regular file"
         raise OutputError(f"can't write {str(path)!r}: it is {kind}; give the name of a file")
     temporary = temporary_beside(target)
     try:

@@ -66,7 +66,7 @@ def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) 
     belongs to this user and is not too long. If it is ``secret``, other users must not be able to
     read it."""
     if not stat.S_ISREG(status.st_mode):
-        return "it is not a plain file"
+        return "it is not a regular file"
     if hasattr(os, "geteuid"):
         if status.st_uid != os.geteuid():
             return f"it belongs to another user (number {status.st_uid})"

@@ -285,7 +285,7 @@ def test_damaged_and_missing_files(tmp_path):
             load(tmp_path, data)
     with pytest.raises(RecordingError, match="No such file"):
         load_restricted(tmp_path / "none.pkl")
-    with pytest.raises(RecordingError, match="a folder, not a plain file"):
+    with pytest.raises(RecordingError, match="a folder, not a regular file"):
         load_restricted(tmp_path)
 
 

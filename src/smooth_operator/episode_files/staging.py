@@ -28,7 +28,7 @@ def staged_file(path: Path) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
-        kind = "a folder" if target.is_dir() else "not a plain file"
+        kind = "a folder" if target.is_dir() else "not a regular file"
         raise OutputError(f"can't write {str(path)!r}: it is {kind}; name a file")
     temporary = temporary_beside(target)
     try:

@@ -74,7 +74,7 @@ def foreign_file(path: Path) -> str | None:
     """Names the kind of a file of another program, with advice; None if it is unknown.
 
     Args:
-        path: a plain file.
+        path: a regular file.
 
     Raises:
         OSError: it can't be read.

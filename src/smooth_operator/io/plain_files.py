@@ -46,7 +46,7 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
 
     Raises:
         OSError: there is no such file, or it can't be read.
-        DocumentError: it is not a plain file, is longer than ``most_bytes``, or is not UTF-8.
+        DocumentError: it is not a regular file, is longer than ``most_bytes``, or is not UTF-8.
     """
     size = check_plain_file(path)
     with path.open("rb") as stream:
