@@ -119,7 +119,7 @@ def write_inputs(folder: Path, text: str) -> None:
     recording = SyntheticOperator(seed=3, rate_hz=30.0).record(20.0)
     stamped = {"landmarks": recording.landmarks, "timestamps": recording.stamps, "side": "right"}
     (folder / "recordings").mkdir()
-    for name in ("glove", "train", "recordings/a"):
+    for name in ("glove", "train", "clip", "recordings/a"):
         np.savez(folder / f"{name}.npz", **stamped)
     if "sample hand.npz" not in text:
         np.savez(folder / "hand.npz", **stamped)
@@ -177,16 +177,21 @@ USERS = [
 QUICK = ("docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""
 
-DEVICES = "leap|dynamixel|ability|allegro|inspire|linker|revo2|wuji|orca"
+DEVICES = "leap|dynamixel|feetech|ability|allegro|inspire|linker|revo2|wuji|orca"
 ELSEWHERE = {
     r"retarget --dataset": "needs a recorded data set; tests/test_another_hand.py runs it",
     r"dataset dexycb/": "DexYCB and MANO have licences; packages/smooth_hand_datasets/tests does",
     r"teleop --source wave": "the plugin must be installed; tests/test_plugin.py runs it",
-    r"convert \S*\.mp4": "needs a video; tests/test_convert.py has one",
+    r"convert \S*\.mp4": "needs a video; tests/test_webcam.py has one",
+    r"teleop --source (realsense|oak)": "needs a depth camera; test_depth_cameras.py has some",
+    r"teleop --camera 0": "needs a camera; tests/test_cameras.py has some",
     r"study (?!new|power)": "needs trials; packages/smooth_operator_study/tests has some",
     r"hardware": "needs a real hand; packages/smooth_operator_devices/tests simulates them",
     rf"teleop .*--sink ({DEVICES})\b": "needs a real hand, in the same way",
-    r"calibrate --source": "asks a person for a minute; tests/test_calibration.py runs it",
+    r"calibrate --(wrist-)?source": "asks a person for a minute; tests/test_calibration.py runs it",
+    r"teleop --source (bvh|rokoko|openxr|isaac)": "needs a tracker of a maker, in the same way",
+    r"bench manus_right": "needs the recordings of the project's benchmark",
+    r".*tuned\.toml": "needs the preset that a program of the page writes",
 }
 """Command lines that do not run here, and the reason."""
 

@@ -302,7 +302,7 @@ def pico_frames(data: bytes) -> list[HandFrame]:
     ids=["hts", "pico", "avp"],
 )
 def test_no_message_is_a_crash(mutants, read):
-    refused, found = fuzzing.outcomes(mutants(), 150, lambda data: [*read(data)])
+    refused, found = fuzzing.outcomes(mutants(), 100, lambda data: [*read(data)])
     frames = [frame for each in found for frame in each]
     assert len(refused) > 30
     assert len(frames) > 5
