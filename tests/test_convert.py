@@ -237,7 +237,7 @@ IMPOSSIBLE = [
     ("joint_positions", (5, 1), np.inf, "command 5 has 'middle' at inf rad"),
     ("joint_positions", (5, 1), 1e15, "command 5 has 'middle' at 1e[+]15 rad"),
     ("stamps", 6, 1.7e9, "the timestamps go backwards at command 6"),
-    ("stamps", -1, 1.2e10, "1.03e[+]10 s, at most 1e[+]09 s"),
+    ("stamps", -1, 1.2e10, "1.03e[+]10 s, but at most 1e[+]09 s"),
 ]
 
 
@@ -504,7 +504,7 @@ def test_a_dataset_of_another_tool_is_checked(tmp_path):
         return read_episode(root, **asked).recording
 
     np.testing.assert_array_equal(read(landmarks, "right", "fine").landmarks, landmarks)
-    with pytest.raises(RecordingError, match="the file says left: correct the side"):
+    with pytest.raises(RecordingError, match="the file states the side left: correct the side"):
         read(landmarks, "left", "side")
     with pytest.raises(RecordingError, match=r"millimetres \(multiply by 0.001\)"):
         read(1e3 * landmarks, "right", "units")

@@ -291,7 +291,9 @@ def test_the_least_gap_of_surfaces_is_reported_for_each_finger():
     check = check_pinches(samples, hand.fingers)
     tips, surfaces = check.figures["tips_mm"], check.figures["surfaces_mm"]
     assert (surfaces["index"], surfaces["middle"]) == (0.0, 0.0)
-    assert check.advice.startswith("can't pinch with ring, pinky,")  # the middle finger touches
+    assert check.advice.startswith(
+        "the thumb can't pinch with ring, pinky,"
+    )  # the middle finger touches
     for name in ("ring", "pinky"):
         assert 5.0 < surfaces[name] < tips[name]
         assert f"{name} {surfaces[name]:.1f}" in check.measured

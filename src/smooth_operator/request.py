@@ -47,7 +47,7 @@ class MethodRequest:
     """A robot hand and the method that drives it, as the user named them."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
-    """Catalogue name of the robot hand."""
+    """Name of the robot hand; smooth-operator hands list prints the names."""
 
     method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 

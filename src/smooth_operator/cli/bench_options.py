@@ -60,7 +60,7 @@ Examples:
     """Folder to write: a new one, an empty one or that of an earlier benchmark."""
 
     hands: Annotated[str, arg(metavar="A,B|all")] = "mimic_p050"
-    """Catalogue names of the robot hands, separated by commas."""
+    """Names of the robot hands, separated by commas; smooth-operator hands list prints them."""
 
     methods: Annotated[str, arg(metavar="M1,M2|all")] = "all"
     """Methods, separated by commas; METHOD:PRESET selects a preset."""
@@ -111,7 +111,7 @@ Examples:
     each method. No latency measurement and no report."""
 
     no_report: bool = False
-    """Write the results without a report and plots."""
+    """Write only the results, without a report and plots."""
 
     quiet: bool = False
     """Hide progress output and the table."""

@@ -52,14 +52,15 @@ Examples:
 
     source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Live source to use instead of a recording, as for teleop. The program asks for one pinch
-    after the other; this takes about half a minute."""
+    after another, which takes about half a minute."""
 
     wrist_source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
-    """Live source of a tracker on a glove, as for teleop. The program finds the place of the
-    tracker on the hand instead of the gaps of pinches."""
+    """Live source of a tracker on a glove, as for teleop. The program measures where the tracker
+    sits on the hand, rather than pinch gaps."""
 
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
-    """File to write. An earlier calibration of the same kind is replaced, others are kept."""
+    """File to write. If the file has an earlier calibration of the same kind, that is replaced;
+    others are kept."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording, or right for a live source."""

@@ -58,12 +58,13 @@ Examples:
 
     commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
     """Commands to add to the recording: the file that retarget wrote. For several recordings, give
-    the folder of their results, in which each result has the name of its recording."""
+    the folder with all results, in which each result is named after its recording."""
 
     to: Annotated[
         Literal["mcap", "npz", "hdf5", "lerobot"] | None, arg(metavar="mcap|npz|hdf5|lerobot")
     ] = None
-    """Output format. Default: from the file name. Required to convert a data set into a folder."""
+    """Output format. Default: the format that the file name indicates. Required to convert a data
+    set into a folder."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frame rate of recordings without timestamps [Hz]."""
@@ -90,7 +91,7 @@ Examples:
     ] = "all"
     """Columns of the LeRobot dataset. all: everything in the input. robot: the columns that
     lerobot-record writes for the robot smooth_hand, at --fps (default: 30), so that the datasets
-    can be merged. robot-wrist: the same with --robot.wrist=quaternion."""
+    can be merged. robot-wrist: the columns for --robot.wrist=quaternion too."""
 
     environment_state: bool = False
     """With --columns robot: also write observation.environment_state, the measured positions of all

@@ -39,7 +39,7 @@ Examples:
     rare: ClassVar[frozenset[str]] = RARE | {"rate", "tracker", "frame_loss", "landmark_loss"}
 
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("smooth-operator-demo")
-    """Folder to write. The files of an earlier demo in it are replaced."""
+    """Folder to write. Files from an earlier demo in this folder are replaced."""
 
     no_view: bool = False
     """Do not serve the page, for machines without a browser."""

@@ -32,7 +32,7 @@ Examples:
     """Logs of one run, of one hand or of both hands."""
 
     output: Annotated[Path, arg(metavar="OUT")]
-    """File to write; for several takes, a folder, in which they keep their names."""
+    """File to write; for several logs, a folder, in which they keep their names."""
 
     keep: Annotated[tuple[str, ...], arg(metavar="FROM:TO")] = ()
     """Time ranges to keep [s]. Default: all."""
@@ -41,7 +41,7 @@ Examples:
     """Time ranges to leave out [s]. Each leaves a gap, because the timestamps do not change."""
 
     mark: Annotated[tuple[str, ...], arg(metavar="SECONDS=TEXT")] = ()
-    """Times to mark, with a text for each. A mark is stored as an event of the next command."""
+    """Times to mark [s], with a text for each. A mark is stored as an event of the next command."""
 
     overwrite: bool = False
     """Replace existing files."""

@@ -51,10 +51,11 @@ Examples:
 
     model: Annotated[Positional[Path], arg(metavar="PATH|robot_descriptions:NAME|NAME")]
     """URDF or MJCF file, with or without meshes; it may include an arm. Or robot_descriptions:NAME,
-    a model of that Python package. Or a hand that hands list shows with its maker's repository."""
+    a model of that Python package. Or the name of a hand whose model is in its maker's repository
+    (see hands list)."""
 
     from_: Annotated[Path | None, arg(name="from", metavar="FOLDER")] = None
-    """Your clone of the maker's repository, for such a hand."""
+    """Your clone of the maker's repository, if NAME is a hand whose model is not included."""
 
     name: Annotated[str | None, arg(metavar="NAME")] = None
     """Name of the hand, for --hand. Default: the name of the file."""
@@ -63,7 +64,7 @@ Examples:
     """Hand side. Selects one hand if the file contains two. Default: detected in the model."""
 
     gripper: Annotated[str | None, arg(metavar="JOINT")] = None
-    """Joint of a gripper's jaw. The other jaw may be fixed; it becomes the thumb."""
+    """Joint of a gripper's jaw. The other jaw, which may be fixed, becomes the thumb."""
 
     palm: Annotated[str | None, arg(metavar="BODY")] = None
     """Body from which the fingers branch."""
@@ -82,8 +83,8 @@ Examples:
     """Wrist: a body fixed to the palm, and a point in its frame [m]."""
 
     couple: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="JOINT=LEADER*A+B")] = ()
-    """Joint without a motor, and the joint that it follows: index_dip=index_pip*0.89+0.1 [rad].
-    Or a polynomial by its coefficients, constant first: index_dip=index_pip:0,0.7,0.2."""
+    """Joint without a motor, and the joint that it follows: index_dip=index_pip*0.89+0.1 [rad]. Or
+    give the coefficients of a polynomial, constant first: index_dip=index_pip:0,0.7,0.2."""
 
     overwrite: bool = False
     """Replace an existing spec file of that name and side."""

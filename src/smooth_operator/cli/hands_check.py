@@ -58,7 +58,8 @@ Examples:
     smooth-retargeting-research."""
 
     out: Annotated[Path | None, arg(metavar="HTML")] = None
-    """With --scorecard: page to write, with pictures of the thumb at each place."""
+    """With --scorecard: HTML page to write, with pictures of the thumb at each place that it
+    touches."""
 
 
 SCORECARDS: Final = Registry(

@@ -35,7 +35,7 @@ Examples:
 """
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORD.mcap")]
-    """Logs, written by the sink record."""
+    """Logs that the sink record of teleop wrote."""
 
     json: bool = False
     """Print only one JSON object on standard output, with one entry per log."""

@@ -273,10 +273,7 @@ COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
     elsewhere={
-        name: (
-            f"this command belongs to {owner}, which is not installed; in a clone of the "
-            f"repository, run: {line}"
-        )
+        name: f"part of {owner}, which is not installed; in a clone of the repository, run: {line}"
         for name, (owner, line) in _DISTRIBUTIONS.items()
     },
 )

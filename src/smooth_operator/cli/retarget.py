@@ -59,8 +59,8 @@ Examples:
     folder of such files. Required without --dataset."""
 
     dataset: Annotated[str | None, arg(metavar="REPO|FOLDER")] = None
-    """LeRobot data set with human hands, for which to derive the actions of another robot hand
-    (docs/how-to/lerobot.md): its folder, or its name in LeRobot's folder of data sets."""
+    """LeRobot data set with recorded human hands; its actions are replaced by those of another
+    robot hand (docs/how-to/lerobot.md). Give its folder, or its name in LeRobot's data folder."""
 
     output: Annotated[Path, arg(metavar="OUT.npz|FOLDER")]
     """File to write, or, if the input is a folder or data set, folder for the results; created if

@@ -42,14 +42,14 @@ Examples:
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING...")]
     """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log. Several
-    recordings must be of the same side. The word synthetic stands for twelve built-in operators
-    (for a file of that name, write ./synthetic)."""
+    recordings must be of the same side. The word synthetic stands for recordings of twelve
+    synthetic hands (for a file of that name, write ./synthetic)."""
 
     output: Annotated[Path, arg(metavar="DIR")]
     """Folder to write; created if missing."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
-    """Robot hand, by its catalogue name."""
+    """Name of the robot hand; smooth-operator hands list prints the names."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording."""
@@ -68,7 +68,8 @@ Examples:
 
     coverage: Literal["operator", "reach"] = "operator"
     """Motion that the robot should cover: the operator's motion or, as published, the robot's whole
-    workspace. For the latter, the recording must contain the limits of the operator's own reach."""
+    workspace. For the whole workspace, the recording must show how far the operator's fingers
+    reach."""
 
     checkpoint_every: Annotated[int, arg(metavar="EPOCHS")] = 10
     """Number of epochs between checkpoints."""

@@ -51,7 +51,8 @@ Examples:
     """Robot hand. Default: the hand in OUT.json."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers that were driven, written as for retarget. Default: those in OUT.json."""
+    """Robot fingers that were driven, in the form of --fingers of retarget. Default: those in
+    OUT.json."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side in OUT.json, or that of the recording."""

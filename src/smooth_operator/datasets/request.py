@@ -29,15 +29,15 @@ class Limits:
     """
 
     min_confidence: Annotated[float, arg(metavar="0..1")] = 0.3
-    """Minimum confidence of the tracker: in frames with a lower one the hand counts as not seen."""
+    """Minimum confidence of the tracker: in frames with lower confidence, the hand counts as not
+    seen."""
 
     max_gap: Annotated[float, arg(metavar="SECONDS")] = 0.5
-    """Maximum time without a good frame in an episode [s]; a clip is cut where it takes longer."""
+    """Maximum time without a good frame in an episode [s]; a clip is cut at longer gaps."""
 
     max_jump: Annotated[float, arg(metavar="M/S")] = 5.0
-    """Maximum speed of a wrist, or of a fingertip relative to it [m/s]; a clip is cut where the
-    speed is higher.
-    """
+    """Maximum speed of a wrist, or of a fingertip relative to the wrist [m/s]; a clip is cut where
+    the speed is higher."""
 
     min_seconds: Annotated[float, arg(metavar="SECONDS")] = 1.0
     """Minimum length of an episode [s]; shorter ones are dropped."""
@@ -60,8 +60,7 @@ class Limits:
 
     min_finger_motion: Annotated[float, arg(metavar="MM")] = 3.0
     """Minimum motion of the human fingers over the whole clip [mm]; checked in clips of 2 s or
-    more. In body captures without gloves, the fingers never move.
-    """
+    more. In body motion capture without gloves, the fingers never move."""
 
     def __post_init__(self) -> None:
         for each in fields(Limits):
@@ -112,8 +111,8 @@ class DatasetRequest(Limits, MethodRequest):
 
     wrist_joints: WristJointChoice = "auto"
     """Whether the robot hand's wrist joints, if it has any, follow the human wrist, relative to the
-    first valid frame of a clip (docs/how-to/hands.md). auto: off, since a data set has the pose of
-    the wrist, which an arm follows."""
+    first valid frame of a clip (docs/how-to/hands.md). auto: off, since a data set contains wrist
+    poses, which an arm can follow."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
     """Layout of the sources, such as egodex or files. Default: detected from the files."""
@@ -164,12 +163,11 @@ class DatasetRequest(Limits, MethodRequest):
     package and the same folders."""
 
     shard: Annotated[str | None, arg(metavar="I/N")] = None
-    """Retarget only the I-th of N shares, for example in an array job; write no data set. Use the
-    same FOLDER for all shares, and run --merge at the end.
-    """
+    """Retarget only the I-th of N shards, for example in an array job; write no data set. Use the
+    same FOLDER for all shards, and run --merge at the end."""
 
     merge: bool = False
-    """Write the data set from the clips that the shares have finished; do not retarget."""
+    """Write the data set from the clips of the finished shards; do not retarget."""
 
     @property
     def limits(self) -> Limits:

@@ -21,14 +21,14 @@ class TeleopRequest(MethodRequest):
 
     wrist_source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Second source, from which only the wrist is taken, such as a tracker on a glove
-    (docs/how-to/trackers.md). The operator file has its place on the hand."""
+    (docs/how-to/trackers.md). The operator file says where that tracker sits on the hand."""
 
     sink: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
     """Sinks that receive the commands, besides the page."""
 
     feedback: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
-    """Outputs of contact for the operator's fingers: zmq:ADDRESS, udp:HOST:PORT, webxr,
-    isaac (docs/how-to/feedback.md)."""
+    """Where to send the robot's finger contacts, as feedback to the operator: zmq:ADDRESS,
+    udp:HOST:PORT, webxr, isaac (docs/how-to/feedback.md)."""
 
     camera: Annotated[tuple[str, ...], arg(metavar="CAMERA[,SETTINGS]")] = ()
     """Cameras whose pictures the page and the headset show (webcam extra): a number or device, the
@@ -51,14 +51,14 @@ class TeleopRequest(MethodRequest):
     (docs/how-to/teleoperate.md). auto: on, but off with --arm or --task."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Folder for a record of every trial of the task."""
+    """Folder in which to record every trial of the task."""
 
     side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
     """Hand side; with both, two robot hands are driven. Default: right, or the only
     side that the robot hand has."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method. Default: its first one."""
+    """Preset of the method. Default: the first one in docs/reference/methods.md."""
 
     scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
     """Robot/human size ratio: frame (estimated in each frame) or a number. Default: from the
@@ -78,7 +78,7 @@ class TeleopRequest(MethodRequest):
     """Behaviour when the tracker fails and when the operator comes back."""
 
     limits: LimitsConfig = field(default_factory=LimitsConfig)
-    """Limits of the commands that leave the loop."""
+    """Limits on the commands that the loop sends."""
 
     wrist: WristConfig = field(default_factory=WristConfig)
     """Clutch between the operator's wrist and the robot's, for trackers that measure the wrist. The
@@ -99,12 +99,12 @@ class TeleopRequest(MethodRequest):
     are stop, release, pause, resume, quit, status, method, calibration, task, trial and reset."""
 
     bind: Annotated[tuple[str, ...], arg(metavar="ACTION=INPUT")] = ()
-    """Input of an action: a key (record=b), a pinch of the other hand (pause=pinch:index), a pedal
-    or a button; or a FILE.toml (docs/how-to/teleoperate.md)."""
+    """Input that triggers an action: a key (record=b), a pinch of the other hand
+    (pause=pinch:index), a pedal or a button; or a FILE.toml (docs/how-to/teleoperate.md)."""
 
     pedal: Annotated[Path | None, arg(metavar="DEVICE")] = None
     """Input device of a foot pedal on Linux, such as /dev/input/by-id/usb-...-event-kbd. Its keys
-    work whichever window has the focus, and type nothing."""
+    work whichever window has focus, and do not type anything."""
 
     estop: Annotated[str | None, arg(metavar="INPUT")] = None
     """External emergency stop: file:PATH (released while the file begins with 1), serial:PORT (a

@@ -42,7 +42,7 @@ class Experimenting(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Ablate(Experimenting):
-    """Repeat one of the paper's experiments on your own machine and recordings."""
+    """Repeat an experiment of the Smooth Operator paper (Malate et al., 2026) yourself."""
 
     work: ClassVar[str] = "smooth_operator_research.commands.experiments:ablate"
     details: ClassVar[str] = """Experiments:
@@ -76,7 +76,7 @@ Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Paper(Experimenting):
-    """Repeat all of the paper's experiments and check each claim."""
+    """Repeat the Smooth Operator paper's experiments (Malate et al., 2026); check its claims."""
 
     work: ClassVar[str] = "smooth_operator_research.commands.experiments:paper"
     details: ClassVar[str] = """Writes to FOLDER: a folder for each experiment (results.json and
@@ -94,8 +94,8 @@ Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Physics(Ordered, Common):
-    """Run the commands in a physics simulation and measure what the hand achieves with each
-    method."""
+    """Run each method's joint commands in a physics simulation, and measure how well the hand does
+    its tasks."""
 
     work: ClassVar[str] = "smooth_operator_research.commands.physics:physics"
     details: ClassVar[str] = """Writes to FOLDER: for each measure a CSV file with one row per case,
