@@ -22,10 +22,10 @@ PRESET_HELP: Final = (
     + ". Any method also accepts a preset file (docs/how-to/tune.md)."
 )
 PINCH_GAPS_HELP: Final = (
-    "How to correct the gap that a tracker reports between thumb and finger when they touch. The "
-    "method smooth estimates this gap while the operator works. tracker: start with the known "
-    "gaps of the source's tracker (only webcam and video have some). mediapipe: start with "
-    "MediaPipe's gaps. off: use the landmarks unchanged."
+    "Correction of the gap that a tracker reports between thumb and finger when they touch. The "
+    "method smooth estimates it while the operator works. tracker: start with the known gaps of "
+    "the source's tracker (only webcam and video have some). mediapipe: start with MediaPipe's "
+    "gaps. off: use the landmarks unchanged."
 )
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
@@ -47,7 +47,7 @@ class MethodRequest:
     """A robot hand and the method that drives it, as the user named them."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
-    """Name of the robot hand; smooth-operator hands list prints the names."""
+    """Name of the robot hand."""
 
     method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 

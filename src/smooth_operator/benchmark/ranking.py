@@ -409,7 +409,7 @@ def _use(
     """Chooses the best of ``lines``. If one of ``every`` has a better value, it is also named."""
     measured = [line for line in lines if line.values.get(by.name) is not None]
     if not measured:
-        return Use(name, (), why_none if not lines else f"{_words(by)} was not measured")
+        return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
     tops = best(measured, by) or set(range(len(measured)))
     top = measured[min(tops)]
     figures = ", ".join(f"{_words(m)} {_with_unit(m, top)}" for m in shown)

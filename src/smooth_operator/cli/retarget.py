@@ -122,7 +122,7 @@ def retarget(options: Retarget) -> None:
     for name in ("workers", "cluster"):
         if getattr(options, name) is not None:
             raise ConfigError(
-                f"--{name} is only for a folder of recordings; {options.recording} is not a folder"
+                f"--{name} is for a folder of recordings; {options.recording} is not a folder"
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording, options.overwrite)

@@ -218,7 +218,7 @@ def make_dataset(
         finished = {} if again else _finished(Store(work), items, recipe)
         before = len(finished)
         left = [item for item in items if item.name not in finished]
-        line = f"{len(left)} clips to retarget, {before} already done"
+        line = f"{len(left)} to retarget, {before} already done"
         if survey.passed_over:
             kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
             line += f"; skipped (unknown format): {kinds}"

@@ -165,7 +165,7 @@ _SOURCES: Final = "smooth_operator.teleop.sources"
 _ROS2: Final = "needs no ROS 2 installation"
 _DEVICE_SOURCES: Final = {
     "angles": ("gloves that report joint angles: angles:deg, angles:rad", ""),
-    "bvh": ("a motion-capture system that broadcasts BVH over UDP: bvh:FILE", ""),
+    "bvh": ("motion capture that broadcasts BVH over UDP: bvh:FILE", ""),
     "isaac": ("hands from any Isaac Teleop device", "isaac"),
     "oak": ("a Luxonis OAK-D depth camera, tracked by MediaPipe", "oak"),
     "openxr": ("hands from this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),
@@ -248,7 +248,7 @@ SOURCES: Final = Registry(
         "pico": Entry(f"{_SOURCES}.programs:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
             f"{_SOURCES}.programs:ManusStream",
-            "MANUS gloves, through a bridge program that streams over ZeroMQ (zmq extra)",
+            "MANUS gloves, through a ZeroMQ bridge program (zmq extra)",
         ),
         "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),

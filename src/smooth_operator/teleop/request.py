@@ -27,8 +27,8 @@ class TeleopRequest(MethodRequest):
     """Sinks that receive the commands, besides the page."""
 
     feedback: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
-    """Where to send the robot's finger contacts, as feedback to the operator: zmq:ADDRESS,
-    udp:HOST:PORT, webxr, isaac (docs/how-to/feedback.md)."""
+    """Where to send finger contacts: zmq:ADDRESS, udp:HOST:PORT, webxr, isaac
+    (docs/how-to/feedback.md)."""
 
     camera: Annotated[tuple[str, ...], arg(metavar="CAMERA[,SETTINGS]")] = ()
     """Cameras whose pictures the page and the headset show (webcam extra): a number or device, the
@@ -58,7 +58,7 @@ class TeleopRequest(MethodRequest):
     side that the robot hand has."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method. Default: the first one in docs/reference/methods.md."""
+    """Preset of the method. Default: its first preset."""
 
     scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
     """Robot/human size ratio: frame (estimated in each frame) or a number. Default: from the
@@ -99,8 +99,8 @@ class TeleopRequest(MethodRequest):
     are stop, release, pause, resume, quit, status, method, calibration, task, trial and reset."""
 
     bind: Annotated[tuple[str, ...], arg(metavar="ACTION=INPUT")] = ()
-    """Input that triggers an action: a key (record=b), a pinch of the other hand
-    (pause=pinch:index), a pedal or a button; or a FILE.toml (docs/how-to/teleoperate.md)."""
+    """Input for an action: a key (record=b), a pinch of the other hand (pause=pinch:index), a pedal
+    or a button; or a FILE.toml (docs/how-to/teleoperate.md)."""
 
     pedal: Annotated[Path | None, arg(metavar="DEVICE")] = None
     """Input device of a foot pedal on Linux, such as /dev/input/by-id/usb-...-event-kbd. Its keys
