@@ -362,10 +362,10 @@ def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> lis
         "violate:"
     ]
     for name, count in sorted(summary.reasons.items(), key=lambda item: -item[1]):
-        line = f"{count} of {summary.dropped} parts violate {name}"
+        line = f"{count} of {summary.dropped} violate {name}"
         if hasattr(limits, name):
             option = f"--{name.replace('_', '-')} {getattr(limits, name)}"
-            line = f"{count} of {summary.dropped} parts violate {option}"
+            line = f"{count} of {summary.dropped} violate {option}"
         values = figures.dropped.get(_FIGURE_OF.get(name, ""))
         if values:
             line += f"; their values are {min(values):.2g} to {max(values):.2g}"
