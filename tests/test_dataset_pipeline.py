@@ -510,7 +510,7 @@ def test_wrists_in_the_frame_of_the_camera(folder):
     wrist = clip.hands["left"].T_world_wrist
     found = seen.hands["left"].T_world_wrist
     np.testing.assert_allclose(poses.compose(camera, found), wrist, atol=1e-12)
-    with pytest.raises(RecordingError, match="only in the camera.s frame"):
+    with pytest.raises(RecordingError, match="only in the camera's frame"):
         in_frame(seen, "world")
     assert in_frame(seen, None) is seen
     assert in_frame(seen, "camera") is seen
