@@ -235,7 +235,7 @@ def test_xhand_is_chosen_among_two_on_a_port_that_no_other_program_uses(rigs):
         rig.open(device_id=6).write(np.zeros(12))
     assert (len(hand.commands), len(other.commands)) == (0, 1)
     hand.occupied = True
-    with pytest.raises(SinkError, match=r"failed .* check .* that no other program is using it"):
+    with pytest.raises(SinkError, match=r"failed .* check .* that no other program uses it"):
         rig.open()
 
 
