@@ -298,7 +298,7 @@ def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch):
     assert [metric.name for metric in plugin_metrics()] == ["travel", "fails"]
     for target, error, says in [
         (f"{__name__}:OWN", ConfigError, "can't be a metric"),
-        (f"{__name__}:TAKEN", ConfigError, "there is a metric 'flatness' already"),
+        (f"{__name__}:TAKEN", ConfigError, "there is another metric 'flatness'"),
         ("flatnes", UnknownNameError, "Did you mean 'flatness'?"),
     ]:
         with pytest.raises(error, match=re.escape(says)):
