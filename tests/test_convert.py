@@ -263,11 +263,12 @@ def test_impossible_commands_are_refused(tmp_path, run, name, at, value, said):
 
 @pytest.mark.parametrize("to", ["mcap", "hdf5"])
 def test_files_of_other_programs_with_impossible_commands_are_refused(tmp_path, to, monkeypatch):
-    value = episode()
-    value.commands.joint_positions[5, 1] = 1e15
+    commands = episode().commands
+    commands.joint_positions[5, 1] = 1e15
+    write(tmp_path, episode(), to)  # imports the module of the format, with the check
     with monkeypatch.context() as patch:
         patch.setattr("smooth_operator.formats.episode.check_commands", lambda *_: None)
-        path = write(tmp_path, replace(value), to)
+        path = write(tmp_path, Episode(commands=commands), to)
     with pytest.raises(RecordingError, match=f"{path.name}: command 5 has 'middle'"):
         read_episode(path)
 
