@@ -8,8 +8,9 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 import viser
@@ -84,17 +85,21 @@ def request(path: bytes, *headers: bytes, host: bytes = b"localhost") -> bytes:
     return b"\r\n".join((b"GET " + path + b" HTTP/1.1", b"Host: " + host, *headers, b"", b""))
 
 
-@pytest.fixture(
-    scope="module",
-    params=[(PAGE, "127.0.0.1"), (PAGE, "0.0.0.0"), (WEBXR,)],
-    ids=["page", "page elsewhere", "webxr"],
-)
-def server(request, tmp_path_factory) -> Iterator[Server]:
-    """A program that serves, in a process; in the end it must have printed nothing."""
-    folder, tls = tmp_path_factory.mktemp("server"), request.param[0] == WEBXR
+@contextlib.contextmanager
+def started(
+    words: Sequence[str], folder: Path, *, path: str, tls: bool = False
+) -> Iterator[Server]:
+    """A program that serves, in a process; in the end it must have printed nothing.
+
+    Args:
+        words: text of the program, which prints its port and perhaps a token, and its arguments.
+        folder: folder of its cache and of what it prints.
+        path: path of its WebSocket.
+        tls: true if it speaks TLS.
+    """
     with (folder / "errors").open("w+b") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-c", *request.param],
+            [sys.executable, "-c", *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -103,12 +108,24 @@ def server(request, tmp_path_factory) -> Iterator[Server]:
         try:
             line = process.stdout.readline().decode().split()
             assert line, (folder / "errors").read_text()
-            yield Server(int(line[0]), "".join(line[1:]), tls, "/link" if tls else "/")
+            yield Server(int(line[0]), "".join(line[1:]), tls, path)
             printed = process.communicate(timeout=PATIENCE_S)[0]
             assert printed + (folder / "errors").read_bytes() == b""
         finally:
             process.kill()
             process.wait()
+
+
+@pytest.fixture(
+    scope="module",
+    params=[(PAGE, "127.0.0.1"), (PAGE, "0.0.0.0"), (WEBXR,)],
+    ids=["page", "page elsewhere", "webxr"],
+)
+def server(request, tmp_path_factory) -> Iterator[Server]:
+    tls = request.param[0] == WEBXR
+    path = "/link" if tls else "/"
+    with started(request.param, tmp_path_factory.mktemp("server"), path=path, tls=tls) as server:
+        yield server
 
 
 WRONG = {

@@ -492,7 +492,9 @@ def test_a_pedal_acts_without_the_focus_and_comes_back(tmp_path):
                     plugged.write(event(*values))
                 plugged.write(event(1, 30, 1))
                 until(lambda count=count: len(pressed) == 2 * count)
-            until(lambda count=count: len([line for line in said if "gone" in line]) == count)
+            until(
+                lambda count=count: len([line for line in said if "disconnected" in line]) == count
+            )
     assert pressed == 2 * ["pedal:48", "pedal:30"]
     assert said[0] == "this pedal has no action; to give it one: --bind ACTION=pedal:30"
     assert any(line.endswith("the pedal is connected again") for line in said)

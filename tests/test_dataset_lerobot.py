@@ -184,7 +184,7 @@ def test_other_joints_are_refused(tmp_path):
     clip = robot_clip(0)
     other = replace(clip.commands["left"], joint_names=JOINTS[::-1])
     second = replace(clip, key="b", commands={**clip.commands, "left": other})
-    with pytest.raises(RecordingError, match="other joints"):
+    with pytest.raises(RecordingError, match="not for the joints of the data set"):
         write(tmp_path / "out", [clip, second])
 
 

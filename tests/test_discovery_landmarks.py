@@ -42,7 +42,7 @@ def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(tmp_path):
     assert found.spec.fingers[-1].base.body == "palm"
     assert all(finger.base.body != "palm" for finger in found.spec.fingers[:-1])
     # the arc of 0.6 rad about a joint that is 20 mm below and somewhat beside
-    assert "joints move that of pinky, by up to 13 mm" in because(found, "bases")
+    assert "joints move the finger base of pinky, by up to 13 mm" in because(found, "bases")
     hand = load_hand_spec(found.spec)
     assert base_travel(hand).max() < 1e-4
 

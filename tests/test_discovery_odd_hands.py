@@ -101,7 +101,7 @@ def test_bars_of_a_linkage_are_no_fingers_and_cost_none(tmp_path, draw, seed, si
     assert not joints & {joint for finger in found.fingers for joint in finger.joints}
     ends = [p.name for p in model.parts if p.name.startswith("bar")]
     ends = [name for name in ends if not any(p.parent == name for p in model.parts)]
-    (note,) = (n for n in found.notes if n.startswith("not used: "))
+    (note,) = (n for n in found.notes if n.startswith("chains that are not used: "))
     assert all(repr(name) in note for name in ends)
     assert sure(found, "palm") < SURE
 

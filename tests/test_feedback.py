@@ -96,7 +96,7 @@ def test_nothing_is_felt_while_the_operator_moves_nothing(hand):
     assert Kept().note == ""
     kept = Kept()
     kept.connect({"right": hand}, {}).deliver(felt(hand, None))
-    assert "no contact" in kept.note
+    assert "does not measure contact" in kept.note
 
 
 class Boxed(Simulation):

@@ -78,7 +78,7 @@ def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) ->
         suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
     )
     advice = (
-        f"the file states the side {recording.side}: correct the side, or mirror the points back: "
+        f"the file says {recording.side} hand: correct the side, or mirror the points back: "
         "points * (-1, 1, 1)"
         if labelled
         else remedy(suspicion)
