@@ -284,7 +284,7 @@ def test_a_mirrored_file_is_refused_whether_it_says_its_side_or_not(tmp_path, op
         read_recording(saved(tmp_path / "a.npz", mirrored))
     assert read_recording(tmp_path / "a.npz", side="left").side == "left"
     labelled = saved(tmp_path / "b.npz", mirrored, side=np.array("right"))
-    with pytest.raises(RecordingError, match=r"a left hand.*the file says right hand: correct the side"):
+    with pytest.raises(RecordingError, match=r"a left hand.*says right hand: correct the side"):
         read_recording(labelled)
 
 
