@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from smooth_operator.benchmark.cells import (
 )
 from smooth_operator.benchmark.figures import Panel, Run, make_clip
 from smooth_operator.benchmark.quality import measure_cell
-from smooth_operator.benchmark.ranking import Line, best, change_verdict
+from smooth_operator.benchmark.ranking import Line, best, change_verdict, failures, overall
 from smooth_operator.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.benchmark.suite import Row
 from smooth_operator.calibration.operator_file import OperatorProfile
@@ -492,6 +493,24 @@ def test_best_knows_goals_ties_and_who_is_incomplete():
     assert top("frames", 3, 4) == set()
 
 
+def test_overall_is_a_mean_over_the_recordings_that_can_be_read():
+    def row(recording: str, method: str, value: float | None) -> Row:
+        names = {"recording": recording, "hand": "h", "side": "right", "method": method}
+        metrics = None if value is None else {"flatness": value}
+        state = {"status": "error" if value is None else "ok", "reason": "no", "metrics": metrics}
+        return names | {"preset": "p"} | state
+
+    values = {"a": (1.0, 2.0), "b": (3.0, None), "c": (None, None)}
+    rows = [
+        row(name, m, v) for name, both in values.items() for m, v in zip("mn", both, strict=True)
+    ]
+    first, second = overall(rows, [NAMED["flatness"]])
+    assert (first.values["flatness"], first.count, first.of) == (2.0, 2, 2)
+    assert (second.values["flatness"], second.count, second.of) == (2.0, 1, 2)
+    missing = [("b on h right", "n:p", "no"), ("c on h right", "all 2 methods", "no")]
+    assert failures(rows) == missing
+
+
 def test_requests_and_their_settings(tmp_path):
     request = parse_request("x.npz@30hz,left,1:9", frames=":5", rate=60, side="right")
     assert (request.path, request.rate, request.side, request.frames) == (
@@ -590,6 +609,39 @@ def test_a_clip_holds_landmarks_and_objects_to_a_tenth_of_a_millimetre():
     assert clip["objectEdges"] == [[0, 3]]
     tight = make_clip(panel, {"m": "#000000"}, hands=10**6)
     assert len(tight["times"]) == 40  # many clips share the page
+
+
+def test_methods_take_turns_and_one_that_fails_stops_no_other(recordings, monkeypatch):
+    order: list[str] = []
+    built = quality._built
+
+    class Stub:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def init(self) -> int:
+            return 0
+
+        def step(self, state: int, _: object) -> tuple[int, Any]:
+            order.append(self.name)
+            return state + 1, SimpleNamespace(latency_ms=float(state))
+
+    def stub(cell: Any, seed: int) -> Any:
+        return built(cell, seed) if cell.method == "picky" else Stub(cell.preset)
+
+    monkeypatch.setattr(quality, "_built", stub)
+    sources = load_sources([parse_request(str(recordings / f"{ODD}.npz"))])
+    methods = select_methods(("sbr:tiny", "sbr:paper", "picky"))
+    cells, told = cells_of(sources, Settings(output=Path("out")), methods), list[str]()
+    *good, bad = quality.measure_latency(cells, 500, 0, lambda cell: told.append(cell.method))
+    turns = [order[i] for i in range(0, len(order), quality.BLOCK)]
+    assert turns == ["tiny", "paper", "paper", "tiny", "tiny", "paper"]
+    for one in good:  # first, warm-up, then what counts, in a state that goes on
+        assert (one.first_ms, one.reason) == (0.0, None)
+        np.testing.assert_array_equal(one.samples_ms, np.arange(16, 60))
+    assert told == ["sbr", "sbr", "picky"]
+    assert "six fingers" in bad.reason
+    assert bad.facts["p50"] is None
 
 
 @pytest.mark.browser

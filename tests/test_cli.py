@@ -355,6 +355,16 @@ def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(monkeypatch, c
     assert "stopped" in capsys.readouterr().err
 
 
+def test_ctrl_c_on_a_page_is_the_usual_end(run, monkeypatch):
+    def pressed(page: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("smooth_operator.teleop.pages.viser_server.PageServer.wait", pressed)
+    status, _, err = run("hands", "show", "leap_hand", "--port", 0, "--no-browser")
+    assert (status, "Traceback" in err) == (0, False)
+    assert "press Ctrl-C to stop" in err
+
+
 @pytest.mark.parametrize(
     ("command", "distribution"),
     [

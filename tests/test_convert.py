@@ -236,6 +236,7 @@ IMPOSSIBLE = [
     ("joint_positions", (5, 1), np.nan, r"command 5 has 'middle' at nan rad \(1 of 40"),
     ("joint_positions", (5, 1), np.inf, "command 5 has 'middle' at inf rad"),
     ("joint_positions", (5, 1), 1e15, "command 5 has 'middle' at 1e[+]15 rad"),
+    ("stamps", 6, episode().commands.stamps[5], "commands 5 and 6 have the same timestamp"),
     ("stamps", 6, 1.7e9, "the timestamps go backwards at command 6"),
     ("stamps", -1, 1.2e10, "1.03e[+]10 s, but at most 1e[+]09 s"),
 ]
@@ -547,11 +548,12 @@ def results(path: Path, value: Episode) -> Path:
     return path
 
 
-def test_commands_beside_a_recording(tmp_path, run):
+@pytest.mark.parametrize("to", NAMES)
+def test_commands_beside_a_recording(tmp_path, run, to):
     value = episode(side="left")
     glove = save(tmp_path / "glove.npz", value)
     out = results(tmp_path / "out.npz", value)
-    target = tmp_path / "e.h5"
+    target = tmp_path / NAMES[to]
     status, err = run(glove, "--commands", out, "--output", target, "--task", "turn")
     assert (status, f"wrote {target}" in err) == (0, True), err
     back = read_episode(target)

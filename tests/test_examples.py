@@ -28,11 +28,16 @@ INTERNAL = {"joint_ranges.py": {"smooth_operator.cli.common_options.Common"}}
 def not_public(source: str) -> Iterator[str]:
     """Names that a program imports from the package and that are not public.
 
-    Public are the packages with a list of names, and these names.
+    Public are the packages with a list of names, these names, and what is reached as an attribute
+    of such a package: ``import smooth_operator.teleop as teleop; teleop.TeleopLoop``.
     """
+    imported: dict[str, str] = {}
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [(alias.name, "") for alias in node.names]
+            imported |= {alias.asname or alias.name: alias.name for alias in node.names}
+        elif isinstance(node, ast.Attribute):
+            names = [(imported.get(ast.unparse(node.value), ""), node.attr)]
         elif isinstance(node, ast.ImportFrom):
             names = [(node.module or "", alias.name) for alias in node.names]
         else:

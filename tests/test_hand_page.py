@@ -1,8 +1,11 @@
 """The page of one hand, in a Chromium: a slider for every joint, and they move it."""
 
+import socket
 import sys
+import threading
 from dataclasses import replace
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -120,3 +123,20 @@ def test_names_and_texts_of_a_hand_are_shown_and_never_run(chromium, tmp_path):
             assert page.locator("iframe").count() == 0
             eventually(lambda page=page: not nameless(page))
             assert all(url.startswith((served.url, "data:", "blob:", "ws:")) for url in asked)
+
+
+@pytest.mark.browser
+def test_a_page_reaches_nothing_elsewhere_and_its_server_ends_with_it(chromium):
+    before = set(threading.enumerate())
+    with HandPage(load_hand("allegro_hand"), "a hand", port=0) as served:
+        page, problems = new_page(chromium, WIDTH, HEIGHT, drawn=False)
+        page.goto(served.url)
+        fetch = "fetch('http://elsewhere.example/').then(() => 'sent', () => 'refused')"
+        assert page.evaluate(fetch) == "refused"
+        assert any("Content Security Policy" in problem for problem in problems)
+        page.close()
+        address = urlsplit(served.url)
+        assert address.hostname == "127.0.0.1"
+    with socket.socket() as probe:
+        assert probe.connect_ex((address.hostname, address.port)) != 0
+    eventually(lambda: not {t for t in threading.enumerate() if not t.daemon} - before)

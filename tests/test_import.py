@@ -117,6 +117,17 @@ def test_subpackages_are_attributes_of_the_package():
     assert {f"smooth_operator.{name}" for name in PUBLIC_PACKAGES} <= set(loaded)
 
 
+@pytest.mark.parametrize(
+    ("module", "libraries"),
+    [
+        ("smooth_operator.cli.options", {"numpy", "jax", "scipy", "mujoco"}),  # all of --help
+        ("smooth_operator.metrics", {"matplotlib"}),
+    ],
+)
+def test_a_module_leaves_the_libraries_alone_that_it_does_not_need(module, libraries):
+    assert not libraries & set(python("-c", f"import sys, {module}; print(*sys.modules)").split())
+
+
 def test_version_is_that_of_the_project_or_unknown(monkeypatch):
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     module = importlib.import_module("smooth_operator.version")

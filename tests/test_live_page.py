@@ -219,6 +219,30 @@ def test_at_most_one_frame_is_on_its_way_to_a_slow_browser():
     assert "0.4 s late" in live_texts.slow(0.41)
 
 
+def test_a_frame_is_sent_as_one_update():
+    calls: list[str] = []
+
+    @contextlib.contextmanager
+    def atomic() -> Iterator[None]:
+        calls.append("[")
+        yield
+        calls.append("]")
+
+    def noted(name: str) -> Any:
+        return lambda *_: calls.append(name)
+
+    page: Any = object.__new__(LiveDrawing)
+    page._scene = SimpleNamespace(draw=noted("draw"), draw_scenery=noted("scenery"))
+    page._panel, page._pace = SimpleNamespace(show=noted("show")), SimpleNamespace(delay=0.4)
+    page._server = SimpleNamespace(atomic=atomic, flush=noted("flush"))
+    page._draw({"hands": {}, "scenery": {}})
+    assert (calls[0], {*calls[1:4]}, calls[4:]) == (
+        "[",
+        {"show", "draw", "scenery"},
+        ["]", "flush"],
+    )
+
+
 WRIST = {"engaged": False, "released": False, "tracked": True}
 
 
@@ -680,6 +704,25 @@ def tracks(page: Any, stage: Stage) -> None:
     page.wait_for_function("!document.title.includes('STOPPED')")
 
 
+def test_fingertips_in_contact_are_redder_and_larger():
+    hand = load_hand("mimic_p050")
+    positions = hand.full_configuration(hand.neutral).tolist()
+    with serving() as server:
+        scene = LiveScene(server, {"right": hand}, simulated=True)
+        tips = scene._sides["right"].row.tips["robot"]
+        before, sizes = tips.batched_colors.copy(), tips.batched_scales.copy()
+        state = {"positions": positions, "human": None, "latched": None}
+        scene.draw({"right": {**state, "contact": [0.0, 1.0, 0.5, 0.0, 0.0]}})
+        touched = (tips.batched_colors != before).any(axis=1)
+        assert touched.tolist() == [False, True, True, False, False]
+        assert (tips.batched_colors[touched, 0] >= before[touched, 0]).all()
+        assert tips.batched_scales[1] > tips.batched_scales[2] >= sizes[2] == sizes[1]
+        scene.draw({"right": {**state, "contact": None}})
+        np.testing.assert_array_equal(tips.batched_colors, before)
+        scene.remove()
+        assert not [name for name in server.scene._handle_from_node_name if "right" in name]
+
+
 def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
     held_back: list[int] = []
 
@@ -972,6 +1015,27 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
     for name in ("Pause (P)", "Record (R)"):
         page.get_by_role("button", name=name).wait_for()
+
+
+@pytest.mark.weekly
+@pytest.mark.browser
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
+def test_opened_and_closed_again_and_again_nothing_is_left(chromium, served, stage):
+    def figures() -> np.ndarray:
+        """Threads of the page's process and of this one, and memory of the page's [MB]."""
+        text = Path(f"/proc/{served._process.pid}/status").read_text()
+        found = [re.search(rf"{name}:\s+(\d+)", text) for name in ("Threads", "VmRSS")]
+        threads, memory = (int(each[1]) for each in found if each)
+        return np.array([threads, threading.active_count(), memory / 1024])
+
+    seen = []
+    for _ in range(4):
+        opened(chromium, served, 300, 300).close()
+        time.sleep(0.3)
+        seen.append(figures())
+    # in the end, whenever the page gets to it; viser's pool grows to its size
+    eventually(lambda: (figures() - seen[1] <= (4, 0, 20.0)).all())
+    assert stage.mode().moves
 
 
 def test_a_page_that_cannot_be_served_says_why(stage):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from smooth_operator import Retargeter, assemble_trace
 from smooth_operator.cli import main
 from smooth_operator.cli.hands_show import Show
 from smooth_operator.cli.page import hand_to_draw
@@ -28,7 +29,8 @@ from smooth_operator.teleop.pages.hand_page import HandPage
 from smooth_operator.teleop.pages.hand_view import HandView, coarser
 from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.player import Playback
+from smooth_operator.teleop.pages.player import Playback, Scene
+from smooth_operator.teleop.pages.scene import RobotLooks
 from smooth_operator.teleop.pages.viser_server import open_server
 from smooth_operator.types import CommandTrajectory, Side
 
@@ -225,6 +227,40 @@ def test_meshes_lie_where_the_simple_shapes_do(shared, root, name, side, folder)
         assert np.linalg.norm(theirs - tip, axis=1).min() < 0.006
         for end in (np.min, np.max):
             assert np.abs(end(ours, 0) - end(theirs, 0)).max() < LARGER.get(name, 0.008)
+
+
+def check_places(robot: RobotLooks, hand: Hand, there: Hand) -> None:
+    """Each link is drawn in the same place with meshes and with simple shapes."""
+    meshes, simple = (look.first.nodes for look in robot._looks)
+    links = [
+        (hand.model.joint(j).bodyid[0], there.model.joint(j).bodyid[0]) for j in hand.joint_names
+    ]
+    drawn = [(simple[a], meshes[b]) for a, b in links if a in simple and b in meshes]
+    assert len(drawn) > 10
+    for mine, theirs in drawn:
+        np.testing.assert_allclose(mine.batched_positions, theirs.batched_positions, atol=1e-5)
+    assert np.ptp([mine.batched_positions for mine, _ in drawn], axis=0).max() > 0.05
+
+
+def test_the_player_and_the_live_scene_place_meshes_as_simple_shapes(root):
+    vendors(root / "shadow_hand")
+    hand, recording = load_hand("shadow_hand"), SyntheticOperator(seed=4).record(duration=0.2)
+    there = hand_with_meshes(hand)
+    commands, _ = Retargeter(hand, method="joint_angle").run(recording)
+    trace = assemble_trace(recording, commands, hand, reach_samples=0)
+    state = {"positions": commands.joint_positions[3], "human": None, "latched": None}
+    server = open_server("127.0.0.1", 0)
+    try:
+        player = Scene(server, [Playback("t", hand, trace, there)])
+        live = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": there})
+        player.draw(3)
+        live.draw({"right": state})
+        for robot in (player.robots[0], live._sides["right"].robot):
+            robot.show(meshes=False)
+            robot.show(meshes=True)
+            check_places(robot, hand, there)
+    finally:
+        server.stop()
 
 
 def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):

@@ -42,6 +42,14 @@ def test_means_are_over_the_vectors_that_there_are(fingers):
     assert result["scale_ratio"] == pytest.approx(1)
 
 
+def test_a_missing_fingertip_costs_only_its_own_vectors():
+    human = human_motion(60)
+    tips = human[:, list(TIPS)].copy()
+    human[:, TIPS[4]] = np.nan
+    tips[:, 4] += 0.1  # wrong, but there is nothing to compare it with
+    assert evaluate(make_trace(human, tips))["cosine_similarity_all"] == pytest.approx(1)
+
+
 def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its():
     human = human_motion(20)
     human[:, TIPS[0]] = WRIST + 0.06

@@ -1,11 +1,12 @@
 """The published definitions of the metrics, and the fit that goes with them."""
 
+import mujoco
 import numpy as np
 import pytest
 from metrics_cases import WRIST, human_motion, make_trace, rotation
 
 from smooth_operator import assemble_trace, load_hand, read_recording
-from smooth_operator.landmarks import TIPS
+from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate, published
 from smooth_operator.types import CommandTrajectory
 
@@ -78,6 +79,40 @@ def test_landmarks_outside_the_fit_do_not_count():
     ] != pytest.approx(1, abs=1e-3)
 
 
+def by_the_definition(model: mujoco.MjModel, nodes: np.ndarray, q: np.ndarray) -> list[float]:
+    """Median cosine, median scale and motion preservation, by MuJoCo and an SVD, nothing of ours.
+
+    Args:
+        model: the published model of the hand.
+        nodes: (T, 25, 3) MANUS nodes [m].
+        q: (T, nq) commands [rad].
+    """
+    data, fits = mujoco.MjData(model), []
+    bases = [model.joint(n).id for n in ("thumb_base2cmc", "index_base2mcp", "pinky_base2mcp")]
+    wrist = model.body("wrist_link_virtual").id
+    ends = [model.body(f"{f}_{part}").id for part in ("dp", "fingertip") for f in FINGERS]
+    for pose, points in zip(q, nodes, strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        theirs = np.concatenate([data.xpos[[wrist]], data.xanchor[bases], data.xpos[ends]])
+        ours = points[[0, 1, 6, 21, 3, 8, 13, 18, 23, 4, 9, 14, 19, 24]]
+        a, b = ours - ours.mean(0), theirs - theirs.mean(0)
+        u, d, vt = np.linalg.svd(b.T @ a)
+        signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+        scale = (d * signs).sum() / (a * a).sum()
+        fits.append((scale * a[-5:] @ ((u * signs) @ vt).T + theirs.mean(0), theirs[-5:]))
+    h, r = np.moveaxis(fits, 1, 0)
+
+    def cosines(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        sizes = np.linalg.norm(x, axis=-1) * np.linalg.norm(y, axis=-1)
+        return (x * y).sum(-1) / (sizes + 1e-8)
+
+    v, w = h[:, 1:] - h[:, :1], r[:, 1:] - r[:, :1]
+    lengths = np.linalg.norm(w, axis=-1) / (np.linalg.norm(v, axis=-1) + 1e-8)
+    motion = cosines(np.diff(h, axis=0), np.diff(r, axis=0))
+    return [float(np.median(cosines(v, w))), float(np.median(lengths)), float(motion.mean())]
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("peer", "cosine", "scale", "motion"),
@@ -95,6 +130,12 @@ def test_published_commands_get_the_published_codes_figures(shared, peer, cosine
         q, hand.joint_names, recording.stamps, np.full(500, np.nan), np.zeros(500, int)
     )
     ours = evaluate(assemble_trace(recording, trajectory, hand, reach_samples=0), "paper")
+    model = mujoco.MjModel.from_xml_path(str(shared / "hands/mimic_p050_hand/right_hand.xml"))
+    order = [hand.joint_names.index(model.joint(j).name) for j in range(model.njnt)]
+    with np.load(shared / "recordings/manus_right_subject-000_run-010.npz") as archive:
+        nodes = archive["data"][:500, :, :3].astype(float)
+    figures = [ours[n] for n in ("cosine_similarity", "scale_ratio", "motion_preservation")]
+    assert figures == pytest.approx(by_the_definition(model, nodes, q[:, order]), abs=1e-6)
     assert ours["cosine_similarity"] == pytest.approx(cosine, abs=6e-6)
     assert ours["scale_ratio"] == pytest.approx(scale, abs=6e-5)
     assert ours["motion_preservation"] == pytest.approx(motion, abs=6e-5)

@@ -74,7 +74,8 @@ def trace_of(scorer: ModuleType, nodes: np.ndarray, stamps: np.ndarray, output: 
 
 @pytest.mark.parametrize(
     ("method", "start"),
-    [("ako", 0), ("joint_angle", 0), ("sampling_based", 2600), ("late", 2600)],
+    # of keyvector the robot often rests while the human moves
+    [("ako", 0), ("joint_angle", 0), ("keyvector", 0), ("sampling_based", 2600), ("late", 2600)],
 )
 def test_agrees_with_the_independent_scorer(method, start, shared, scorer, recording, tmp_path):
     nodes, stamps = (array[start : start + FRAMES] for array in recording)

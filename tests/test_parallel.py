@@ -74,7 +74,9 @@ def die_between_two_parts(size: int) -> bytes:
     return bytes(size)
 
 
-def wait_and_clean_up(marker: Path) -> None:
+def wait_and_clean_up(marker: Path | None) -> None:
+    if marker is None:
+        return
     try:  # the signal may come as soon as the marker is there
         marker.touch()
         time.sleep(PATIENCE_S)
@@ -151,6 +153,24 @@ def test_a_death_costs_an_attempt_and_nothing_else(tmp_path):
     assert [len(r.value or b"") if r.error is None else r.error[:10] for r in results] == sizes
 
 
+@needs_signals
+def test_a_kill_from_outside_costs_an_attempt():
+    running = run_tasks(time.sleep, [0.3] * 6, workers=2)
+    results = [next(running)]
+    os.kill(multiprocessing.active_children()[0].pid or 0, signal.SIGKILL)
+    results = by_index(iter([*results, *running]))
+    assert [(result.index, result.error) for result in results] == [(k, None) for k in range(6)]
+    assert sum(result.attempts for result in results) == 7
+
+
+def test_closing_stops_workers_that_can_still_clean_up(tmp_path):
+    running = run_tasks(wait_and_clean_up, [None, tmp_path / "a", tmp_path / "b"], workers=3)
+    next(running)
+    until(lambda: len(list(tmp_path.iterdir())) == 2)
+    running.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 SCRIPT = """
 import sys
 from pathlib import Path
@@ -169,7 +189,9 @@ if __name__ == "__main__":
 
 
 @needs_signals
-@pytest.mark.parametrize("how", ["SIGINT", "SIGKILL"])
+@pytest.mark.parametrize(
+    "how", ["SIGINT", pytest.param("SIGHUP", marks=pytest.mark.weekly), "SIGKILL"]
+)
 def test_signals_and_a_killed_parent_leave_no_process(tmp_path, how):
     script, folder = tmp_path / "script.py", tmp_path / "folder"
     script.write_text(SCRIPT, encoding="utf-8")

@@ -263,6 +263,21 @@ def test_nonsense_gives_finite_commands_within_the_limits(usual, frames):
     assert result.status == Status.OK
 
 
+@pytest.mark.parametrize("kind", ["fresh", "realtime", "usual"])
+def test_fingers_that_no_robot_can_follow_stay_within_the_limits(kind, request, frames):
+    retargeter: Retargeter = request.getfixturevalue(kind)
+    low, high = retargeter.hand.joint_limits.T
+    exaggerated = frames.copy()
+    for base in BASES:
+        exaggerated[:, base : base + 4] += 0.9 * (
+            frames[:, base : base + 4] - frames[:, base, None]
+        )
+    q = positions(play(retargeter, [*frames, *exaggerated]))
+    assert ((q >= low) & (q <= high)).all()
+    # the limits did bind; the default takes fingers of any length for its own
+    assert kind != "realtime" or ((q == low) | (q == high)).sum() > 20
+
+
 def test_a_call_notices_units_order_and_side():
     """Before any method sees the hand, so by the quickest."""
     usual = Retargeter(method="joint_angle", rate=100.0)

@@ -1,6 +1,7 @@
 """Signals end programs in order: torque off, recordings whole, the terminal as it was."""
 
 import contextlib
+import ctypes
 import os
 import re
 import select
@@ -10,6 +11,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from dynamixel_bank import ServoBank
 from live_time import PATIENCE_S, until
 from processes import python
 
+from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.control.switches import terminal_keys
@@ -255,3 +258,27 @@ def test_keys_end_with_their_terminal(monkeypatch):
             os.close(ours)
             thread.join(LONG_S)
             assert not thread.is_alive()
+
+
+@posix
+def test_a_closed_window_of_windows_is_an_ending_signal(monkeypatch):
+    """With the system's part made up: its handlers, and that it ends the process afterwards."""
+    handlers: list[Any] = []
+    slept: list[float] = []
+
+    def register(handler: Any, add: bool) -> None:
+        handlers.append(handler) if add else handlers.remove(handler)
+
+    kernel = SimpleNamespace(SetConsoleCtrlHandler=register)
+    monkeypatch.setattr(ctypes, "windll", SimpleNamespace(kernel32=kernel), raising=False)
+    monkeypatch.setattr(ctypes, "WINFUNCTYPE", lambda *_: lambda f: f, raising=False)
+    monkeypatch.setattr(signal, "SIGBREAK", signal.SIGTERM, raising=False)
+    monkeypatch.setattr(signals.sys, "platform", "win32")
+    monkeypatch.setattr(signals.time, "sleep", slept.append)
+    with ended_by_signals() as ending:
+        ending.quit = lambda: None
+        assert not handlers[0](0)  # Ctrl-C is Python's own
+        assert not ending.came
+        assert handlers[0](2)
+        assert ending.came
+    assert (slept, handlers) == ([30.0], [])

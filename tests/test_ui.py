@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from browser_page import changed, nameless, new_page, settled
 from live_time import until as eventually
+from processes import python
 
 from smooth_operator import Status, load_hand
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
@@ -412,6 +413,8 @@ def test_a_browser_needs_a_desktop_and_gets_no_token_in_its_arguments(monkeypatc
     monkeypatch.setattr(browser, "_FILE_S", 0.05)
     short = browser.leading_to("http://localhost/?token=x")
     eventually(lambda: not short.exists())
+    code = "from smooth_operator.web.browser import leading_to; print(leading_to('http://h/?t=x'))"
+    assert not Path(python("-c", code, check=True).stdout.strip()).exists()  # goes with its process
 
 
 @pytest.fixture(scope="module")

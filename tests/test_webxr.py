@@ -409,7 +409,9 @@ def test_the_page_is_whole_and_its_certificate_can_be_trusted(host, tmp_path):
         assert fetch(host.address.replace("localhost", name), trusting)[0] == page
     assert fetch(f"{host.address}/../pyproject.toml", context)[0] == b"404"
     for path in ("/", "/no-such", "/certificate.crt"):  # no page can frame it
-        assert fetch(f"{host.address}{path}", context)[1]["X-Frame-Options"] == "DENY", path
+        headers = fetch(f"{host.address}{path}", context)[1]
+        assert headers["X-Frame-Options"] == "DENY", path
+        assert "frame-ancestors 'none'" in headers["Content-Security-Policy"], path
     # the joints have the colours of the other pages
     module = fetch(f"{host.address}/colors.js", context)[0].decode()
     served = re.fullmatch(r"export const FINGER_COLORS = (.+);\n", module)
@@ -452,6 +454,36 @@ def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(cache, m
         assert all(is_closed(raw, PATIENCE_S) for raw in flood)  # each has a second for its TLS
         started.welcome()[0].close()
         link.close()
+
+
+def test_half_open_connections_lock_no_address_out(cache, monkeypatch):
+    """The oldest of them make room for one that goes on, long before their time is over."""
+    monkeypatch.setattr(xr_source, "_HANDSHAKE_S", 2 * PATIENCE_S)
+    flood: list[socket.socket] = []
+    with hosting() as started, closing(flood):
+        flood += [started.raw() for _ in range(60)]
+        started.welcome()[0].close()
+        assert sum(not is_closed(raw) for raw in flood) <= xr_source.MOST_WAITING
+
+
+def test_a_listener_has_room_again_when_a_connection_ends():
+    sockets: list[socket.socket] = []
+    with LimitedListener(listen("127.0.0.1", 0), 9, 2, most_waiting=9) as door, closing(sockets):
+        door.settimeout(0.2)
+
+        def knock() -> socket.socket:
+            sockets.append(socket.create_connection(door.getsockname()))
+            sockets.append(door.accept()[0])
+            return sockets[-1]
+
+        inside = [knock() for _ in range(2)]
+        for _ in range(2):
+            with pytest.raises(TimeoutError):
+                knock()
+            assert is_closed(sockets[-1], PATIENCE_S)
+            inside[0].close()
+            inside[0].close()  # counts once
+            inside[0] = knock()
 
 
 def test_of_connections_that_wait_the_oldest_makes_room():

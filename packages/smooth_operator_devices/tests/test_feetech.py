@@ -12,6 +12,7 @@ from simulators.feetech_bus import MODELS, READ, SYNC_WRITE, WRITE, packet
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator_devices.hands.actuator_map import read_table
+from smooth_operator_devices.hands.device import WrongAnswerError
 from smooth_operator_devices.hands.drivers.feetech import FeetechHand
 from smooth_operator_devices.hands.table_check import ActuatorMover
 
@@ -135,7 +136,12 @@ def test_servos_that_are_absent_or_of_another_kind_are_named(rig):
     with pytest.raises(SinkError, match=rf"servo 3 \({third}\) is of model number 2313.*series="):
         rig.open()
     rig.sink += f",series={rig.model[:3]}"
-    assert rig.open().read().positions.tolist() == [rig.middle] * 6
+    device = rig.open()
+    assert device.read().positions.tolist() == [rig.middle] * 6
+    device._bus._answer_s = 0.1
+    rig.faults.answer_wrongly("checksum")
+    with pytest.raises(WrongAnswerError, match=rf"answer from servo 1 \({rig.joints[0]}\)"):
+        device.read()
 
 
 def test_servos_of_both_series_on_one_line_are_refused(rigs):
