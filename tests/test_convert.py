@@ -506,7 +506,7 @@ def test_a_dataset_of_another_tool_is_checked(tmp_path):
         return read_episode(root, **asked).recording
 
     np.testing.assert_array_equal(read(landmarks, "right", "fine").landmarks, landmarks)
-    with pytest.raises(RecordingError, match="the file states the side left: correct the side"):
+    with pytest.raises(RecordingError, match="the file says left hand: correct the side"):
         read(landmarks, "left", "side")
     with pytest.raises(RecordingError, match=r"millimetres \(multiply by 0.001\)"):
         read(1e3 * landmarks, "right", "units")
