@@ -259,6 +259,7 @@ def test_the_player_and_the_live_scene_place_meshes_as_simple_shapes(root):
             robot.show(meshes=False)
             robot.show(meshes=True)
             check_places(robot, hand, there)
+            np.testing.assert_allclose(robot.shown.tips, trace.robot_tips[3], atol=1e-5)
     finally:
         server.stop()
 
