@@ -201,7 +201,7 @@ def test_the_terminal_shows_the_table_and_the_failures_once(done):
     assert done.out.count("not a recording") == 1
     assert "broken on mimic_p050 right, all 2 methods" in done.out
     assert "skipped" in done.err  # said before the long work
-    assert "3 of 4 cells failed" in done.err
+    assert "3 of 4 rows failed" in done.err
 
 
 class Page(HTMLParser):

@@ -314,7 +314,7 @@ def test_damaged_meshes_leave_the_simple_shapes(root, capsys):
         path.write_text(broken, encoding="utf-8")
         assert hand_to_draw(hand, options) is None
         said = capsys.readouterr().err
-        assert said.startswith("drawing simple shapes: ")
+        assert said.startswith("the meshes can't be drawn, so simple shapes are shown: ")
         assert said.count("\n") == 1
         with pytest.raises(HandModelError):
             hand_to_draw(hand, replace(options, model=path))

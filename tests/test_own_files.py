@@ -55,7 +55,7 @@ def with_mode(mode: int) -> Callable[..., None]:
         (with_mode(0o777), "mode 0777; remove it"),
         (with_mode(0o2775), "mode 2775; remove it"),
         (with_mode(0o1777), "mode 1777; remove it"),
-        pytest.param(of_another, "belongs to another user (number 1001)", marks=as_root),
+        pytest.param(of_another, "belongs to another user (UID 1001)", marks=as_root),
     ],
 )
 def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):

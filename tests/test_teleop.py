@@ -372,7 +372,7 @@ class Unfinished(Sink):
         (["--operator", "/nowhere/operator.json"], "/nowhere"),
         (["--operator", "{folder}/bad.json"], "bad.json"),
         (["--safety.stale-s", "-1"], "stale_s must be positive"),
-        (["--limits.margin", "5"], "leaves no room"),
+        (["--limits.margin", "5"], "is too large for hand"),
         (["--no-view", "--model", "hand.xml"], "--no-view disables the page"),
         (["--task", "cube", "--sink", "mujoco"], "remove --sink mujoco"),
     ],

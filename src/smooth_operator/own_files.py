@@ -50,7 +50,7 @@ def folder_problem(folder: Path) -> str:
         status = os.lstat(place)
         own, shown = status.st_uid == os.geteuid(), repr(str(place))
         if not own and (place == folder or status.st_uid != 0):
-            return f"{shown} belongs to another user (number {status.st_uid})"
+            return f"{shown} belongs to another user (UID {status.st_uid})"
         sticky = place != folder and status.st_mode & stat.S_ISVTX
         if status.st_mode & _OTHERS_WRITE and not sticky:
             remedy = "remove it" if place == folder else "chmod go-w"
@@ -69,7 +69,7 @@ def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) 
         return "it is not a regular file"
     if hasattr(os, "geteuid"):
         if status.st_uid != os.geteuid():
-            return f"it belongs to another user (number {status.st_uid})"
+            return f"it belongs to another user (UID {status.st_uid})"
         if status.st_mode & (_OTHERS if secret else _OTHERS_WRITE):
             return f"it can be {'read' if secret else 'written'} by other users"
     if status.st_size > most_bytes:

@@ -126,7 +126,7 @@ def print_comparison(comparison: Comparison) -> None:
     total = {verdict: comparison.count(verdict) for verdict in ("better", "worse", "same")}
     console.print(
         f"over all metrics: {total['better']} better ▲, {total['worse']} worse ▼, {total['same']} "
-        "the same (within 0.5 %, latencies 10 %)"
+        "the same (within 0.5 %, or 10 % for latencies)"
     )
     notes = sorted({note for cell in comparison.cells for note in cell.notes})
     if notes:
@@ -244,7 +244,7 @@ def bench(options: Bench) -> None:
     failed = sum(row["status"] != "ok" for row in rows)
     if failed:
         where = "" if options.quiet else ", see above"
-        progress.note(f"{failed} of {len(rows)} cells failed{where}", matters=True)
+        progress.note(f"{failed} of {len(rows)} rows failed{where}", matters=True)
         raise SystemExit(SOME_FAILED)
 
 

@@ -47,8 +47,8 @@ Examples:
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       measure a folder of recordings on every hand, in eight processes
   smooth-operator bench --physics --output out
-      measure how well hands do tasks in simulation (needs the research distribution:
-      research/docs/physics.md)
+      measure how well hands do tasks in simulation (first: pip install ./research;
+      see research/docs/physics.md)
 """
 
     rare: ClassVar[frozenset[str]] = RARE

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Measure how far apart a tracker reports a touching thumb and finger, or where a tracker sits
-    on a glove; write a file for --operator."""
+    """Measure the gap that a tracker reports when thumb and finger touch, or where a tracker is
+    mounted on a glove; write a file for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
         str
-    ] = """Many trackers report a gap between the thumb and a finger that touch. The method smooth
+    ] = """Many trackers report a gap even while the thumb touches a finger. The method smooth
 closes this gap. The gaps of MediaPipe (webcam, video) are built in, and small gaps are estimated
 while the operator works. A tracker with large, unknown gaps needs a calibration.
 
@@ -35,9 +35,9 @@ each and in any order. With --source, the program asks the operator for one pinc
 Besides OPERATOR.json, it writes OPERATOR.png (distances and pinches over time) and
 OPERATOR.report.json.
 
-With --wrist-source, the program finds where a tracker sits on the glove: the operator turns the
-hand about the wrist, then slides the flat hand along a table. The result is added to OPERATOR.json;
-calibrate each hand\nseparately (docs/how-to/trackers.md).
+With --wrist-source, the program finds where a tracker is mounted on the glove: the operator
+turns the hand about the wrist, then slides the flat hand along a table. The result is added to
+OPERATOR.json; calibrate each hand separately (docs/how-to/trackers.md).
 
 Examples:
   smooth-operator calibrate glove.npz --output operator.json
@@ -56,7 +56,7 @@ Examples:
 
     wrist_source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Live source of a tracker on a glove, as for teleop. The program measures where the tracker
-    sits on the hand, rather than pinch gaps."""
+    is mounted on the hand, instead of pinch gaps."""
 
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
     """File to write. If the file has an earlier calibration of the same kind, that is replaced;

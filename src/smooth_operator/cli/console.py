@@ -66,7 +66,7 @@ SUMMARY: Final = (
         "The robot's thumb and finger touch in {:.3g} % of the human's pinches (good: at "
         "least {:.3g} %)",
         "There are too few frames with a pinch to measure pinching",
-        "smooth-operator calibrate measures the gaps that the tracker leaves in pinches",
+        "smooth-operator calibrate measures the gap that the tracker reports when fingertips touch",
     ),
     Figure(
         "self_collision.share",

@@ -34,7 +34,9 @@ Formats:
   webdataset   tar files, one sample per clip
   parquet      Parquet files, one row per clip
   npz          command files like those that retarget writes, one per hand
-  spider, flashdex (after: pip install ./packages/smooth_hand_datasets)
+  spider, flashdex
+               input files of SPIDER and FlashDexRetarget (first: pip install
+               ./packages/smooth_hand_datasets)
 
 Examples:
   smooth-operator dataset egodex/ --hand leap_hand --output out

@@ -73,11 +73,11 @@ Examples:
     """A body or joint of the thumb."""
 
     finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
-    """Human finger that drives the robot finger with this body or joint. Use it also for a
-    chain that was not detected as a finger."""
+    """FINGER is the human finger that drives the robot finger; BODY is a body or joint of the
+    robot finger. Use it also for a chain that was not detected as a finger."""
 
     tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
-    """Fingertip: a body of the last link, and a point in its frame [m]."""
+    """Fingertip: the last body of the finger, and a point in that body's frame [m]."""
 
     wrist: Annotated[str | None, arg(metavar="BODY:x,y,z")] = None
     """Wrist: a body fixed to the palm, and a point in its frame [m]."""

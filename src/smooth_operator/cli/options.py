@@ -207,7 +207,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       drive a hand live from a tracker, with motion limits and a live page
   smooth-operator edit take.mcap --keep 1.5:8 --output short.mcap
-      cut and mark a recording made with teleop, and write the result to a new file
+      cut a recording made with teleop or add named marks to it, and write a new file
   smooth-operator view out.npz glove.npz
       show the commands and the recorded hand side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
@@ -215,7 +215,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator bench glove.npz --methods all --output out
       compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json
-      measure how far apart a tracker reports a touching thumb and finger, for --operator
+      measure the gap that a tracker reports when thumb and finger touch, for --operator
   smooth-operator train geort glove.npz --output my-geort
       train a learning-based method for a hand and an operator
   smooth-operator hands list

@@ -26,5 +26,5 @@ def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
     except HandModelError as error:
         if options.model is not None:
             raise
-        print_note(f"drawing simple shapes: {error}")
+        print_note(f"the meshes can't be drawn, so simple shapes are shown: {error}")
         return None

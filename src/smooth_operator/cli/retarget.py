@@ -34,7 +34,7 @@ timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration
 written with it, as OUT.json.
 
 For a folder, all recordings (including subfolders) are retargeted, several in parallel. The
-folder of --output has the same structure. Its report.json lists the counts and the failures; its
+output folder has the same structure. Its report.json lists the counts and the failures; its
 episodes.jsonl has one line per recording, with quality metrics. Latency is not measured for a
 folder, so latency_ms is NaN. Run the same command again to continue after a stop, or to add new
 recordings: finished results are kept, unless their recording, settings, robot hand or this

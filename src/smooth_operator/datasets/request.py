@@ -107,7 +107,7 @@ class DatasetRequest(Limits, MethodRequest):
     """
 
     side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
-    """Use only this hand. Recordings that do not state their side are taken as this hand."""
+    """Use only this hand. Recordings that do not state a side are assumed to show this hand."""
 
     wrist_joints: WristJointChoice = "auto"
     """Whether the robot hand's wrist joints, if it has any, follow the human wrist, relative to the

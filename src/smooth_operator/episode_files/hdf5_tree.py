@@ -195,8 +195,8 @@ def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
     takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
     if takes > left[0]:
         raise _RefusedError(
-            f"reading {data.name} would take {takes / 1e6:,.0f} MB of memory, more than is "
-            f"allowed for a file of this size ({left[0] / 1e6:,.0f} MB are left)"
+            f"reading {data.name} would take {takes / 1e6:,.0f} MB of memory, but only "
+            f"{left[0] / 1e6:,.0f} MB remain of the limit for a file of this size"
         )
     numbers: np.ndarray | None = None
     texts: list[str | None] | None = None

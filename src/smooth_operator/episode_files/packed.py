@@ -30,7 +30,10 @@ class Packed:
     """
 
     what = "a Parquet file of packed clips"
-    expects = "columns 'name', 'stamps' and 'right_landmarks' or 'left_landmarks' of this program"
+    expects = (
+        "the columns that 'dataset --format parquet' writes: 'name', 'stamps', and "
+        "'right_landmarks' or 'left_landmarks'"
+    )
 
     def matches(self, path: Path) -> bool:
         """True if a Parquet file has the columns of clips, whichever program wrote it."""

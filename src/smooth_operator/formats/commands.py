@@ -95,7 +95,7 @@ def write_encoded_commands(
     path = Path(path)
     if path.suffix != ".npz":
         raise OutputError(
-            f"can't write {str(path)!r}: the name must end in .npz, as {path.name}.npz"
+            f"can't write {str(path)!r}: the name must end in .npz, for example {path.name}.npz"
         )
     with written_result(path, config) as file:
         file.write(encoded)

@@ -359,7 +359,7 @@ READERS: Final = Registry(
         ),
         "parquet": Entry(
             f"{_EPISODES}.packed:PACKED",
-            "clips that the command dataset wrote in the format 'parquet'",
+            "clips written by 'smooth-operator dataset --format parquet'",
         ),
         "files": Entry(
             f"{_FORMATS}.readers:FILES", "any recording of one hand that 'retarget' reads"

@@ -135,8 +135,8 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
         return check(
             "failed",
             text,
-            "the thumb reaches no finger: check the thumb's limits and tip, and whether the "
-            "right finger is taken for the thumb",
+            "the thumb can't reach any finger: check the thumb's limits and tip, and check that "
+            "the correct finger was detected as the thumb",
         )
     return check(
         "warning",

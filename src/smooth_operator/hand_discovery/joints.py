@@ -308,8 +308,8 @@ def check_tilt(samples: Samples) -> Check:
     """Measures the angle between the fingers of a flat human hand and the straight fingers of the
     robot."""
     tilt = palm_tilt_deg(samples.hand)
-    way = "towards the palm" if tilt > 0 else "to the back of the hand"
-    text = f"a flat human hand bends the straight fingers by {abs(tilt):.0f}° {way}"
+    way = "towards the palm" if tilt > 0 else "towards the back of the hand"
+    text = f"when the human hand is flat, the robot's fingers are bent by {abs(tilt):.0f}° {way}"
     return Check("palm tilt", "unjudged", text, "", {"tilt_deg": round(tilt, 1)})
 
 

@@ -315,7 +315,7 @@ def find_thumb(
     if named:
         evidence.append("its names match (weak evidence)")
     if labels.count("thumb") == 1 and not named:
-        evidence.append("although names call another finger the thumb")
+        evidence.append("although the names say that another finger is the thumb")
         margin -= 0.2
     if count == 2:
         evidence.append("with only two fingers, either can be called the thumb")
@@ -569,8 +569,8 @@ def find_neutral(
         knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
         q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
         notes.append(
-            f"fingers would be {1e3 * depth:.0f} mm inside each other in this pose; with "
-            f"open knuckles it is {1e3 * less:.0f} mm"
+            f"fingers would be {1e3 * depth:.0f} mm inside each other in this pose; with the "
+            f"knuckles opened, only {1e3 * less:.0f} mm"
         )
     return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(notes)
 

@@ -340,8 +340,9 @@ def read_skeleton(
     meshes = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
     if loaded.oversize:
         notes.append(
-            f"{loaded.why}. These meshes are not used. Fingertips and wrist are estimated more "
-            "reliably with meshes, or correct the points with --tip and --wrist"
+            f"{loaded.why}. These meshes are not used, so the fingertips and the wrist are "
+            "estimated less reliably. Use smaller meshes, or correct the points with --tip and "
+            "--wrist"
         )
     elif meshes and not model.nmesh:
         points: dict[str, list[np.ndarray]] = {}
@@ -359,9 +360,9 @@ def read_skeleton(
                 else "put them at the paths in the file"
             )
             notes.append(
-                f"{missing} of {len(meshes)} meshes could not be read. Joints are "
-                "unaffected, but fingertips and wrist are estimated more reliably with "
-                f"meshes: {remedy}, or correct the points with --tip and --wrist"
+                f"{missing} of {len(meshes)} meshes could not be read. Joints are unaffected, but "
+                f"fingertips and wrist are estimated less reliably without meshes: {remedy}, or "
+                "correct the points with --tip and --wrist"
             )
     if loaded.inertias:
         notes.append(

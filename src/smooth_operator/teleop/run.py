@@ -330,7 +330,7 @@ class _Run:
         """Change to the hand of ``change_hand``."""
         assert self.next_request is not None
         self.request, self.next_request = self.next_request, None
-        self.reporter.note(f"the next hand: {self.request.hand}", matters=True)
+        self.reporter.note(f"switching to hand {self.request.hand}", matters=True)
         self._load(self.request)
 
     def drive(self, ending: Ending, page: LivePage | None) -> dict[str, Any]:

@@ -42,7 +42,8 @@ class Experimenting(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Ablate(Experimenting):
-    """Repeat an experiment of the Smooth Operator paper (Malate et al., 2026) yourself."""
+    """Run one experiment of the Smooth Operator paper (Malate et al., 2026), with your
+    recordings or a synthetic operator."""
 
     work: ClassVar[str] = "smooth_operator_research.commands.experiments:ablate"
     details: ClassVar[str] = """Experiments:

@@ -200,7 +200,8 @@ def write_report(
             "recordings": settings.recordings,
             "hands": settings.hands,
             "methods": settings.methods,
-            "frames": settings.frames or "all frames, except of recordings with their own setting",
+            "frames": settings.frames
+            or "all frames, except for recordings with their own range of frames",
             "seed": settings.seed,
             "definition": settings.definition,
             "latency frames": settings.latency_frames,
@@ -215,7 +216,7 @@ def write_report(
         _heading(rows, len(failed)),
         [(name.capitalize(), name, Html(str(getattr(content, name)()))) for name in names],
         "Made by smooth-operator bench. The numbers are in results.json, the plots in plots/ and "
-        "the commands of each cell in cells/.",
+        "the commands of each row in cells/.",
         styles=(here / "player.css",),
         scripts=(here / "player.js", SORTING),
         without_scripts=".player { display: none; }",
@@ -229,8 +230,8 @@ def _heading(rows: Sequence[Row], failed: int) -> Html:
         ("hand", len(ranking.by_hand(rows))),
         ("method", len({row_method(row) for row in rows})),
     )
-    text = f"{', '.join(counted(n, what) for what, n in counts)}: {counted(len(rows), 'cell')}"
-    text += f", {failed} of them failed" if failed else ""
+    text = f"{', '.join(counted(n, what) for what, n in counts)}: {counted(len(rows), 'row')}"
+    text += f", of which {failed} failed" if failed else ""
     text += f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else ""
     return join([element("h1", "Retargeting benchmark"), paragraph(text, "soft")])
 
@@ -296,7 +297,7 @@ def _timing(
     busy = bool(shares) and max(shares) > BUSY
     parts = [f"other processes used up to {100 * max(shares):.0f} % of the cores"] if shares else []
     parts += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
-    warning = ": the machine was busy, so these are upper bounds" if busy else ""
+    warning = ": the machine was busy, so the latencies are upper bounds" if busy else ""
     drawings = []
     for hand in ranking.by_hand(rows):
         samples: dict[str, list[np.ndarray]] = {}
@@ -370,7 +371,7 @@ def _facts(row: Row) -> str:
     if source["rate_hz"]:
         facts.append(f"{source['rate_hz']:.4g} Hz, {source['duration_s']:.3g} s")
     if source["side_assumed"]:
-        facts.append("assumed to be a right hand, because the recording has no side")
+        facts.append("assumed to be a right hand, because the recording does not state a side")
     return "; ".join(facts) + "." if facts else ""
 
 

@@ -165,7 +165,9 @@ def _box(data: bytes, left: int) -> tuple[bytes, int, int]:
     if length == 0:
         length = left
     if length < head or length > left:
-        raise ValueError(f"a box {kind!r} has {length} bytes")
+        raise ValueError(
+            f"its box {kind.decode('latin-1')!r} has the impossible length of {length} bytes"
+        )
     return kind, head, length
 
 

@@ -103,8 +103,9 @@ def summarise(
     for sink in sinks:
         if delay := sink.figures.get("feedback_delay_ms"):
             reporter.note(
-                f"{sink.label}: {sink.figures['rate_hz']:.0f} messages per second and hand; "
-                f"contact to message p50 {delay['p50']:.1f} ms, p99 {delay['p99']:.1f} ms"
+                f"{sink.label}: {sink.figures['rate_hz']:.0f} messages per second for each hand; "
+                f"delay from contact to message p50 {delay['p50']:.1f} ms, "
+                f"p99 {delay['p99']:.1f} ms"
             )
     plain: dict[str, Any] = json.loads(to_json(summary))
     return plain

@@ -166,7 +166,9 @@ def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.tick_params(axis="x", labelsize=7, colors=_INK)
     unit = "degrees (slides: mm)" if any(j.slide for j in hand.tree.joints) else "degrees"
-    axes.set_xlabel(f"{unit}; grey: coupled; |: pose", fontsize=7, color=_INK)
+    axes.set_xlabel(
+        f"{unit}; grey bars: coupled joints; |: position in this pose", fontsize=7, color=_INK
+    )
     axes.axvline(0, color="#bbbbbb", linewidth=0.6, zorder=0)
     for name in ("top", "right", "left"):
         axes.spines[name].set_visible(False)

@@ -179,8 +179,8 @@ class Limiter(JointLimiter):
         room = (hand.limits[:, 1] - hand.limits[:, 0]).min()
         if 2 * config.margin >= room:
             raise ConfigError(
-                f"limits: a margin of {config.margin} rad leaves no room in the smallest "
-                f"joint range of hand {hand.name!r}, {room:.3g} rad"
+                f"limits: a margin of {config.margin} rad is too large for hand {hand.name!r}, "
+                f"whose smallest joint range is {room:.3g} rad"
             )
         # of the fastest joint that an actuated one moves, itself or one that follows it
         slopes, curvature = _steepest(hand)

@@ -267,8 +267,12 @@ class Simulation(Sink):
         physics = None if world is None else world.physics.get(side)
         if not isinstance(physics, ScenePhysics):
             raise SinkError(
-                f"mujoco: there is no scene around a {side} hand: "
-                + ("it is not open" if world is None else "request one with mujoco:task=card")
+                f"mujoco: no task scene is loaded for the {side} hand: "
+                + (
+                    "the simulation is not running"
+                    if world is None
+                    else "request one with mujoco:task=card"
+                )
             )
         return physics
 

@@ -142,7 +142,7 @@ class LiveDrawing:
             views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
             drawn: tuple[dict[Side, HandView], str] = views, ""
         except (SmoothOperatorError, ValueError, IndexError, ArithmeticError) as error:
-            drawn = {}, f"drawing simple shapes: {error}"
+            drawn = {}, f"the meshes can't be drawn, so simple shapes are shown: {error}"
         if hands is self._hands:  # the page has no other hand since
             self._drawn = drawn
             self._wake.set()

@@ -187,12 +187,10 @@ def _advice(cv2: Any, name: int | str) -> str:
     if sys.platform.startswith("linux"):
         devices = sorted(glob.glob("/dev/video*"))
         shut = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
-        there = (
-            f"of these: {', '.join(devices)}"
-            if devices
-            else ("there is no camera, because /dev/video* is empty")
-        )
-        advice += f" This machine has {there}."
+        if devices:
+            advice += f" Video devices on this machine: {', '.join(devices)}."
+        else:
+            advice += " This machine has no camera: there is no device /dev/video*."
         if shut:
             advice += (
                 f" You have no permission to use {', '.join(shut)}: join the group 'video' "

@@ -315,7 +315,7 @@ class HandLandmarker:
                     ) from error
                 raise SourceError(
                     f"MediaPipe can't load {model}: {error}. Remove model= to download the "
-                    "right file"
+                    "correct file"
                 ) from error
             self._last_ms = -1
             self.find(np.zeros((64, 64, 3), np.uint8), 0.0)  # the first call is slow and prints
@@ -463,8 +463,8 @@ def _checked(path: Path, origin: str) -> Path:
     """Checks that the user's file is a hand landmarker, and returns its path."""
     if not path.is_file():
         raise SourceError(
-            f"{origin}: there is no file {str(path)!r}; set the path of a "
-            f"hand_landmarker.task, or remove it to download the file from {MODEL_URL}"
+            f"{origin}: there is no file {str(path)!r}; set the path of a hand_landmarker.task "
+            f"file, or leave out the path to download the file from {MODEL_URL}"
         )
     try:
         with zipfile.ZipFile(path) as archive:
