@@ -377,7 +377,7 @@ broken.npz                      | not a recording
 empty                           | contain no recordings
 good.npz --frames 900:          | selects nothing
 good.npz --output foreign       | files that are not from an earlier benchmark
-good.npz --output good.npz      | it is a file; name a folder
+good.npz --output good.npz      | it is a file; give the name of a folder
 good.npz --compare gone.json    | no such file
 good.npz --compare cut.json     | damaged
 good.npz --compare object.json  | not a list

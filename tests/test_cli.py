@@ -168,7 +168,7 @@ retarget glove.npz --output out.csv           | end in .npz
 retarget glove.npz --output glove.npz         | is the recording itself
 retarget glove.npz --output foreign.npz       | is not a configuration
 retarget glove.npz --output file/out.npz      | a folder is expected
-demo --output file                            | it is a file; name a folder
+demo --output file                            | it is a file; give the name of a folder
 demo --duration 0                             | duration must be
 demo --frame-loss -1                          | frame_loss must be
 view glove.npz glove.npz                      | not a file of commands

@@ -204,7 +204,9 @@ def test_commands_with_other_stamps_than_the_frames(tmp_path, to):
     assert_same(value, read_episode(path))
     recording = read_recording(path)
     np.testing.assert_array_equal(recording.stamps, value.recording.stamps)
-    with pytest.raises(RecordingError, match=r"20 commands belong to no frame.*\.mcap or \.h5"):
+    with pytest.raises(
+        RecordingError, match=r"20 commands do not belong to any frame.*\.mcap or \.h5"
+    ):
         write_dataset(tmp_path / "d", [lambda: value])
     assert not (tmp_path / "d").exists()
 

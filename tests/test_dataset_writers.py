@@ -257,7 +257,7 @@ def test_a_folder_of_another_format_or_options_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="started with rate = null, not 15"):
         WRITERS.load("webdataset").open(tmp_path / "out", replace(OPTIONS, rate=15.0))
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="it is a file; name a folder"):
+    with pytest.raises(OutputError, match="it is a file; give the name of a folder"):
         WRITERS.load("webdataset").open(tmp_path / "file", OPTIONS)
     index = next((tmp_path / "out" / "meta" / "shards").iterdir())
     whole = index.read_text()

@@ -207,7 +207,7 @@ def test_of_two_hands_the_side_chooses(tmp_path, arm, fingers):
         for p in hands["left"].parts
     ]
     path = written(tmp_path, urdf((*hands["right"].parts, *apart)))
-    with pytest.raises(HandModelError, match=r"holds 2 hands .*--side"):
+    with pytest.raises(HandModelError, match=r"contains 2 hands .*--side"):
         discover(path)
     for side, hand in hands.items():
         check(discover(path, side="left" if side == "left" else "right"), hand)

@@ -98,7 +98,10 @@ def test_another_protocol_is_closed_for_good(text, pieces):
                 assert is_closed(one)
         count = f"connections closed: {len(HEADERS)}; a web page or another program at"
         until(lambda: count in source.health().detail)  # counted just after the socket is closed
-        assert r"127.0.0.1 connected to this port and was closed: b'\xff" in source.health().detail
+        assert (
+            r"127.0.0.1 connected to this port, and its connection was closed: b'\xff"
+            in source.health().detail
+        )
         assert source.health().state == "waiting"
         works(mailbox, where, frame(3))
         assert mailbox.received == 1

@@ -328,7 +328,7 @@ def test_takes_are_recorded_named_kept_and_discarded(stage):
     assert (take(stage)["kept"], take(stage)["open"]) == (1, False)
     assert [file.name for file in folder.iterdir()] == ["pour_water.mcap"]
     second = record(stage)
-    assert "there already is a take pour_water.mcap: choose" in refused("keep", "pour water")
+    assert "there is already a take pour_water.mcap: choose" in refused("keep", "pour water")
     page.do("discard")
     assert not second.exists()
     assert (take(stage)["kept"], take(stage)["last"]) == (1, [])

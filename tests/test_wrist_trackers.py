@@ -102,13 +102,13 @@ def test_motions_that_do_not_tell_the_place_are_refused():
     bent[:, 2] += np.linspace(0, 0.1, len(bent))
     good = tracker(turning()), tracker(sliding())
     cases = (
-        (good[0][:20], good[1], "20 poses of the tracker arrived while the hand turned"),
-        (good[0], good[1][:0], "0 poses of the tracker arrived while the hand slid"),
+        (good[0][:20], good[1], "20 poses arrived from the tracker while the hand turned"),
+        (good[0], good[1][:0], "0 poses arrived from the tracker while the hand slid"),
         (tracker(turning(deviation=0.05)), good[1], "turned too little about one of its axes"),
         (tracker(swinging), good[1], r"the wrist moved by 2\d mm .* at most 10 mm"),
         (good[0], tracker(sliding(0.1)), "the hand slid by 10 cm; at least 15 cm"),
         (good[0], tracker(tilted), "while it slid, but at most 8° are accepted"),
-        (good[0], tracker(bent), r"left a straight, level line by 3\d % of its way"),
+        (good[0], tracker(bent), r"deviated from a straight, level line by 3\d % of its length"),
     )
     for turns, slides, message in cases:
         with pytest.raises(RecordingError, match=message):

@@ -146,8 +146,8 @@ class Newest:
         kind, side = message["type"], message["side"]
         if message["format"] != FORMAT:
             raise ValueError(
-                f"messages have format {message['format']}, not {FORMAT}; install the plug-in and "
-                "smooth-operator in the same version"
+                f"messages have format {message['format']}, not {FORMAT}; install the same "
+                "version of the plug-in and of smooth-operator"
             )
         if kind in ("stalled", "end"):
             self._silent[side] = (

@@ -84,8 +84,8 @@ class DexYcb:
         root = nearby(ref.path.resolve(), "calibration")
         if root is None:
             raise RecordingError(
-                f"{ref.path}: the data set's folder lacks calibration, which has the shape of the "
-                "hand and the cameras; keep sequences in SUBJECT/TIME below that folder"
+                f"{ref.path}: the data set's folder lacks calibration/, which contains the shapes "
+                "of the hands and the cameras; keep sequences in SUBJECT/TIME below that folder"
             )
         stored = open_arrays(path)
         missing = [name for name in ("pose_m", "pose_y") if name not in stored]

@@ -129,7 +129,8 @@ def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
     if path is None or not path.is_file():
         raise RecordingError(
             f"{where}: the subject's hand, {brief(text(relative) or 'vtemp')}, is not in {root}; "
-            "extract tools/subject_meshes of the data set there, which has the shapes of the hands"
+            "extract the data set's tools/subject_meshes, which contain the shapes of the hands, "
+            "to that folder"
         )
     import trimesh
 

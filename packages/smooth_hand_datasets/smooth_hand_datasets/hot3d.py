@@ -119,7 +119,8 @@ def _headset(folder: Path) -> str:
     name = str(read_table(path, ("headset",))["headset"])[:40].lower()
     if name not in ("aria", "quest3"):
         raise RecordingError(
-            f"{path}: headset must be Aria or Quest3, which says which axis is up, not {name!r}"
+            f"{path}: headset must be Aria or Quest3, because it determines which axis points up, "
+            f"not {name!r}"
         )
     return name
 

@@ -234,7 +234,7 @@ class _Unpickler(pickle.Unpickler):
             return _ALLOWED[whole]
         if re.fullmatch(r"(chumpy|scipy\.sparse)(\.\w+)+", whole):
             return type("Stated", (_Stated,), {"name": whole})
-        raise NotDataError(f"it names {whole[:120]!r}, which is not data")
+        raise NotDataError(f"it refers to {whole[:120]!r}, which is not data")
 
     def persistent_load(self, pid: Any) -> Any:
         """(element type, key, count) of a tensor's storage, the only kind of external object."""
@@ -424,7 +424,7 @@ def _tensor(values: Any, offset: Any, size: Any, stride: Any, *_: Any) -> np.nda
     last = start + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     # of numbers that count several times, which parameters of hands do not
     if math.prod(size) > len(values) or (math.prod(size) and last >= len(values)):
-        raise NotDataError("its tensor takes more than its numbers")
+        raise NotDataError("its tensor has more elements than there are numbers in the file")
     steps = [step * values.itemsize for step in stride]
     return np.lib.stride_tricks.as_strided(values[start:], size, steps).copy()
 

@@ -131,7 +131,7 @@ def test_missing_parts_are_named(tmp_path, models):
     for number, (layout, file, content, said) in enumerate(
         (
             ("dexycb", "meta.yml", b"mano_sides: [right]\n", "it lacks mano_calib"),
-            ("dexycb", "../../calibration", None, "lacks calibration"),
+            ("dexycb", "../../calibration", None, "lacks calibration/"),
             ("ho3d", "meta/*", no_poses, "evaluation split has no poses"),
             ("arctic", "", npy({"right": {}}), "it lacks left"),
             ("oakink2", "", pickled({"raw_smplx": {}}), "it lacks raw_mano"),

@@ -287,13 +287,13 @@ def test_dexhand021_boards_that_do_not_report_are_wrong_answers(rigs):
     hand, device = rig.hand, rig.open()
     rig.patience(0.2)
     hand.dead_boards.add(3)
-    with pytest.raises(WrongAnswerError, match=f"no feedback of board {hand.base + 3} within"):
+    with pytest.raises(WrongAnswerError, match=f"no feedback from board {hand.base + 3} within"):
         device.read()
     hand.dead_boards.clear()
     assert device.read().positions.tolist() == [0.0] * 12
     hand.reboot()  # it reports nothing until it is asked again
     time.sleep(0.1)
-    with pytest.raises(WrongAnswerError, match=f"no feedback of board {hand.base} within"):
+    with pytest.raises(WrongAnswerError, match=f"no feedback from board {hand.base} within"):
         device.read()
     rig.patience(3.0)
     device.close()

@@ -240,7 +240,7 @@ def test_xhand_is_chosen_among_two_on_a_port_that_no_other_program_uses(rigs):
 
 
 def test_xhand_without_the_makers_package_says_where_to_get_it():
-    with pytest.raises(ConfigError, match="install the wheel that RobotEra gives"):
+    with pytest.raises(ConfigError, match="install the wheel that RobotEra supplies"):
         build_sink("xhand").device(table("xhand"))
 
 

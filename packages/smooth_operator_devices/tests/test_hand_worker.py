@@ -306,7 +306,7 @@ BEYOND = "beyond its ends 120 and 240.*the servo may be one turn off, or the tab
             lambda count: 0.4 * (count % 3),
             "m1: 3 consecutive readings of its position differ.*check its cable",
         ),
-        (lambda count: math.nan, "m1 gave no position"),
+        (lambda count: math.nan, "m1 did not report a position"),
         (lambda count: 2 * math.pi, f"m1 is at -180 deg.*{BEYOND}"),
         (lambda count: -2 * math.pi, f"m1 is at 540 deg.*{BEYOND}"),
         (lambda count: -1_000_000 * math.pi / 2048, BEYOND),

@@ -186,7 +186,7 @@ def test_a_session_by_ros_2(monkeypatch):
         ),
         (message({"index_mcp": "3"}), "must be a number, not '3'"),
         (message({"index_mcp": True}), "must be a number, not True"),
-        (message({"index_mcp": 400}), "'index_mcp' is 400 deg, more than a joint turns"),
+        (message({"index_mcp": 400}), "'index_mcp' is 400 deg, more than a joint can turn"),
         (message(stamp="now"), "timestamp"),
         (message(side="up"), "side must be 'right' or 'left'"),
         (message(wrist=[1, 2]), "'wrist' must have shape"),

@@ -129,7 +129,10 @@ def test_a_runtime_that_ends_the_session_is_a_failure(runtime):
     with started("openxr") as (source, _):
         runtime.change_state(LOSS_PENDING)
         until(lambda: source.health().state == "failed")
-        assert "ended the session; start it and this again" in source.health().detail
+        assert (
+            "ended the session; start it again, then start this program again"
+            in source.health().detail
+        )
     assert runtime.open_instances() == 0
 
 

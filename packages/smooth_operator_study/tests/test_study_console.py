@@ -291,7 +291,7 @@ def test_no_block_starts_on_a_hand_that_was_not_switched(store):
     with pytest.raises(StudyError, match=HIDDEN):
         service.carry_out(start, "experimenter")
     assert kinds(store) == ["calibrated"]
-    assert said == ["the teleoperation: dexpilot needs four fingers"]
+    assert said == ["teleop: dexpilot needs four fingers"]
     assert service.look()[0]["teleop"]["state"] == "refused"
     assert "dexpilot" not in json.dumps(service.look())
     teleop.refusing = False

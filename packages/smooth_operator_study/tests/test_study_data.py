@@ -74,7 +74,7 @@ def test_semicolons_and_a_byte_order_mark_are_read(case, tmp_path):
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ({"score": 0.7}, "row 5, column score: expected 0, 0.5 or 1, came '0.7'"),
+        ({"score": 0.7}, "row 5, column score: expected 0, 0.5 or 1, not '0.7'"),
         ({"score": ""}, "row 5, column score: expected 0, 0.5 or 1; the field is empty"),
         ({"score": "nan"}, "row 5, column score"),
         ({"time_s": -3}, "row 5, column time_s: expected a time in seconds above 0"),
@@ -146,7 +146,7 @@ def test_questionnaires_are_checked_too(case, tmp_path):
     trials, _ = case.write(tmp_path)
     for values, expected in (
         ({"effort": 101}, "column effort: expected 0 to 100"),
-        ({"point": "end"}, "column point: expected initial, midpoint, final; came 'end'"),
+        ({"point": "end"}, "column point: expected initial, midpoint, final, not 'end'"),
         ({"point": case.tlx[1]["point"]}, "the same operator"),
     ):
         rows = [dict(row) for row in case.tlx]

@@ -380,7 +380,7 @@ def test_bad_data_write_nothing_and_give_status_2(data, tmp_path, capsys):
     file = write_rows(tmp_path / "trials.csv", rows)
     out = tmp_path / "out"
     assert main(["study", "analyze", str(file), "--output", str(out)]) == 2
-    assert "row 5, column score: expected 0, 0.5 or 1, came '0.25'" in capsys.readouterr().err
+    assert "row 5, column score: expected 0, 0.5 or 1, not '0.25'" in capsys.readouterr().err
     assert not out.exists()
     good = str(data / "trials.csv")
     assert main(["study", "analyze", good, "--baseline", "sbt", "--output", str(out)]) == 2

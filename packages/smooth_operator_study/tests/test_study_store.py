@@ -179,7 +179,7 @@ def test_a_void_trial_is_done_again(store, tmp_path):
 
 def test_breaks_are_between_trials(store):
     walk(store, "P01", "trial")
-    with pytest.raises(StudyError, match="no break can begin: trial 1 in block 1"):
+    with pytest.raises(StudyError, match="a break can't begin: trial 1 in block 1"):
         store.append("P01", BreakStarted())
     store.append("P01", score(store, "P01", "done"))
     store.append("P01", BreakStarted())

@@ -79,7 +79,9 @@ def check_folder(
     if not folder.exists():
         return
     if not folder.is_dir():
-        raise OutputError(f"can't write into {str(folder)!r}: it is a file; name a folder")
+        raise OutputError(
+            f"can't write into {str(folder)!r}: it is a file; give the name of a folder"
+        )
     try:
         empty = not any(folder.iterdir())
     except OSError as error:
@@ -87,7 +89,7 @@ def check_folder(
     if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != command:
         raise OutputError(
             f"can't write into {str(folder)!r}: it contains files that are not from "
-            f"{former}; name another folder with --output"
+            f"{former}; choose another folder with --output"
         )
 
 
@@ -439,7 +441,7 @@ def read_results(path: Path) -> list[Row]:
     """
     if path.is_dir():
         path = path / RESULTS
-    expected = f"expected the {RESULTS} of `smooth-operator bench`"
+    expected = f"expected the {RESULTS} that `smooth-operator bench` writes"
     try:
         rows = read_json(path, most_bytes=_MOST_BYTES)
     except FileNotFoundError:

@@ -92,7 +92,7 @@ def find_mount(turning: Float[np.ndarray, "n 7"], sliding: Float[np.ndarray, "m 
     for part, name in ((turning, "turned"), (sliding, "slid")):
         if len(part) < MIN_FRAMES:
             raise RecordingError(
-                f"{len(part)} poses of the tracker arrived while the hand {name}; at least "
+                f"{len(part)} poses arrived from the tracker while the hand {name}; at least "
                 f"{MIN_FRAMES} are needed. Keep the tracker in view of the base stations or cameras"
             )
     offset, residual, turn = _pivot(turning)
@@ -161,8 +161,9 @@ def _slide(points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], fl
     crooked = float(np.abs(aside).max()) / length
     if crooked > CROOKED:
         raise RecordingError(
-            f"the hand left a straight, level line by {100 * crooked:.0f} % of its way; at most "
-            f"{100 * CROOKED:.0f} % are accepted. Slide it along a straight edge of the table"
+            f"the path of the hand deviated from a straight, level line by {100 * crooked:.0f} % "
+            f"of its length; at most {100 * CROOKED:.0f} % are accepted. Slide it along a "
+            "straight edge of the table"
         )
     return forward, length
 

@@ -21,7 +21,7 @@ FORMAT: Final = "smooth-operator operator"
 VERSION: Final = 1
 
 _MOST_BYTES: Final = 1_000_000  # a profile has about 500 bytes
-_EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate` or `teleop`"
+_EXPECTED: Final = "expected the OPERATOR.json that `smooth-operator calibrate` or `teleop` writes"
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ def read_operator(path: Path) -> OperatorProfile:
     version = content.get("version")
     if version != VERSION:
         raise ConfigError(
-            f"{path}: version {brief(version)} of the format, but this program reads {VERSION}; "
-            f"calibrate again, or upgrade: {UPGRADE}"
+            f"{path}: the file has format version {brief(version)}, but this program reads "
+            f"version {VERSION}; calibrate again, or upgrade: {UPGRADE}"
         )
     entries = Entries(str(path), content)
     with entries.name_file():

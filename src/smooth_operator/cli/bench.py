@@ -95,7 +95,7 @@ def print_results(rows: Sequence[Row]) -> None:
     if any(row["status"] == "ok" for row in rows):
         hidden = len(columns()) - len(shown)
         more = counted(hidden, "more column") if hidden else ""
-        more = more and f"; the report shows {more} too, and so do wider terminals"
+        more = more and f"; the report and wider terminals also show {more}"
         console.print(f"* best{more}", style="dim")
     for footnote in footnotes(rows):
         console.print(Text(footnote), soft_wrap=True)

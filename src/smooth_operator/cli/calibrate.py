@@ -151,7 +151,7 @@ def _calibrate_pinches(options: Calibrate) -> None:
     segments: list[Segment] | None = None
     if options.source is None:
         if options.recording is None:
-            raise ConfigError("name a recording to calibrate from, or a live source with --source")
+            raise ConfigError("give a recording to calibrate from, or a live source with --source")
         reading = {"rate": options.rate, "side": options.side, "layout": options.layout}
         recording = read_shown(options.recording, progress, options.frames, **reading)
     else:

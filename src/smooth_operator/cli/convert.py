@@ -25,8 +25,10 @@ class Convert(Ordered, Common, Quiet):
     """Convert recordings and their commands to another file format, and back."""
 
     work: ClassVar[str] = "smooth_operator.cli.convert:convert"
-    details: ClassVar[str] = """Input formats are recognised by content, the output format by its
-name:
+    details: ClassVar[
+        str
+    ] = """The format of an input is recognised by its content, that of the output by
+its name:
   .mcap        this program's log, which Foxglove can open
   .npz         plain arrays, for NumPy
   .h5, .hdf5   HDF5, with units (extra hdf5)

@@ -84,4 +84,7 @@ def _print(summary: Summary, request: DatasetRequest) -> None:
         f"dropped, {len(summary.failed)} failed"
     )
     written = f"data set: {request.data}; " if summary.episodes else ""
-    say(f"{written}why: {request.output / ('report.json' if request.mirror else 'report.html')}")
+    say(
+        f"{written}what was kept and why: "
+        f"{request.output / ('report.json' if request.mirror else 'report.html')}"
+    )

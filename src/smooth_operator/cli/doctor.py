@@ -60,7 +60,7 @@ def _advice(report: Mapping[str, object]) -> list[str]:
     advice = []
     if str(report["programs"]).startswith("not kept"):
         advice.append(
-            f"compiled programs are {report['programs']}, so every start compiles again; set "
+            f"compiled programs are {report['programs']}, so every start compiles them again; set "
             "SMOOTH_OPERATOR_CACHE to a folder that only you can write to, or unset it"
         )
     load, cores = report["load"], report["cores"]

@@ -172,7 +172,7 @@ def _add_hand(options: Add, model: OpenModel) -> None:
     file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
     if not options.overwrite and file.exists() and not _same(file, discovery.spec):
         raise ConfigError(
-            f"there already is a {discovery.spec.side} hand {discovery.spec.name!r}, in "
+            f"there is already a {discovery.spec.side} hand {discovery.spec.name!r}, in "
             f"{file}: use --overwrite to replace it, or --name to choose another name"
         )
     save_hand(discovery.spec, comment=_comment(discovery), copy=changed or not options.in_place)
@@ -354,7 +354,7 @@ def _motors_note(hand: Hand) -> str | None:
         return None
     return (
         f"the model has {len(hand.actuated)} joints and no couplings: check how many motors the "
-        "maker states. If there are fewer, use --couple to set which joints follow another one"
+        "maker specifies. If there are fewer, use --couple to set which joints follow another one"
     )
 
 

@@ -66,8 +66,10 @@ SCORECARDS: Final = Registry(
     "scorecard",
     {},
     elsewhere={
-        "card": "of the distribution smooth-retargeting-research: "
-        "python -m pip install ./research in a clone of the repository"
+        "card": (
+            "part of the package smooth-retargeting-research: python -m pip install ./research "
+            "in a clone of the repository"
+        )
     },
 )
 """Functions that print a scorecard, from the options and the function of a progress bar."""

@@ -162,7 +162,8 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     if not has_joints(hand, commands.joint_names):
         raise HandModelError(
             f"{out} contains commands for the joints {', '.join(commands.joint_names)}, but the "
-            f"hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand with --hand"
+            f"hand {hand.name!r} has {', '.join(hand.joint_names)}; choose the correct hand with "
+            "--hand"
         )
     trace = assemble_trace(recording, commands, hand, _alignment(config))
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)

@@ -185,7 +185,7 @@ def make_dataset(
         ]
         raise RecordingError(
             f"nothing to retarget in {', '.join(request.sources)}"
-            + (f": no reader recognises its files ({kinds})" if kinds else ": it is empty")
+            + (f": no reader recognises the files ({kinds})" if kinds else ": it is empty")
             + "".join(ways[:3])
         )
     if not survey.items:
@@ -298,7 +298,9 @@ def check_output(request: DatasetRequest, hand: str) -> None:
     """Checks that results can be written to a folder; OutputError if the folder is a source or a
     file, or contains the data set of another hand."""
     if request.output.exists() and not request.output.is_dir():
-        raise OutputError(f"can't write into {str(request.output)!r}: it is a file; name a folder")
+        raise OutputError(
+            f"can't write into {str(request.output)!r}: it is a file; give the name of a folder"
+        )
     real = request.output.resolve()
     for source in request.sources:
         path = Path(source).expanduser().resolve()
@@ -310,7 +312,7 @@ def check_output(request: DatasetRequest, hand: str) -> None:
     report = request.output / REPORT
     if report.exists() and read_configuration(report) is None:
         raise OutputError(
-            f"can't write {str(report)!r}, the report of the run: a different file has that name; "
+            f"can't write {str(report)!r}, the report of the run: another file has this name; "
             "choose another folder or remove it first"
         )
     earlier = hand_in(request.output)

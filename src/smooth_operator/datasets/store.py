@@ -149,7 +149,7 @@ class Store:
                 stored.pack.unlink()
             raise RecordingError(
                 f"{stored.pack} was damaged ({error}) and has been removed; run the same command "
-                "again to retarget its clips again"
+                "again to retarget its clips"
             ) from error
 
     def close(self) -> None:

@@ -371,8 +371,8 @@ def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> lis
             line += f"; their values are {min(values):.2g} to {max(values):.2g}"
         lines.append(line)
     lines.append(
-        "Look at report.html, then run again with other limits, which does not retarget anything "
-        "again. --no-limits keeps every clip whole."
+        "Look at report.html, then run again with other limits; nothing is retargeted again. "
+        "--no-limits keeps every clip whole."
     )
     return lines
 

@@ -29,7 +29,7 @@ def staged_file(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         kind = "a folder" if target.is_dir() else "not a regular file"
-        raise OutputError(f"can't write {str(path)!r}: it is {kind}; name a file")
+        raise OutputError(f"can't write {str(path)!r}: it is {kind}; give the name of a file")
     temporary = temporary_beside(target)
     try:
         with _about(path, temporary):
@@ -55,7 +55,7 @@ def staged_folder(path: Path) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_dir():
-        raise OutputError(f"can't write {str(path)!r}: it is a file; name a folder")
+        raise OutputError(f"can't write {str(path)!r}: it is a file; give the name of a folder")
     temporary = temporary_beside(target)
     former = temporary.with_suffix(".old")
     try:

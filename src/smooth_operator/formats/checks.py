@@ -286,11 +286,11 @@ def check_stamps(
         hint = (
             f"these look like {units[0]} (multiply by {_TIME_UNITS[units[0]]:g})"
             if units
-            else "and no other common unit fits; check how the timestamps were written"
+            else "no other common unit fits either; check how the timestamps were written"
         )
         raise RecordingError(
             f"{where}: according to its timestamps, the recording has {rate:.4g} frames per "
-            f"second; expected {low:g} to {high:g}; timestamps must be in seconds, {hint}"
+            f"second; expected {low:g} to {high:g}; timestamps must be in seconds; {hint}"
         )
     check_span(stamps, where)
 

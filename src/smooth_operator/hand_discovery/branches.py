@@ -193,7 +193,7 @@ class Branches:
         bases = np.array([c.base for c in hand.chains])
         above, palm = (self._skeleton.body_name(tree.palm) for tree in (around, hand))
         return [
-            LeftOut(c.last, f"{self._name(c)} hangs from {above!r} and not from the palm {palm!r}")
+            LeftOut(c.last, f"{self._name(c)} is attached to {above!r}, not to the palm {palm!r}")
             for c in around.chains
             if c.last not in taken and _LENGTHS[0] <= c.length <= _LENGTHS[1]
             if np.linalg.norm(bases - c.base, axis=1).min() < near + c.length
@@ -483,8 +483,8 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
         confidence = 0.75
         if end.nail:
             evidence.append(
-                "slightly behind that end: the back protrudes like a nail, and the tip should be "
-                "on the pad"
+                "slightly behind that end: the shape protrudes at the back, like a fingernail, "
+                "but the tip should be on the pad"
             )
             confidence = 0.6
         if frames:

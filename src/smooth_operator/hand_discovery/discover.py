@@ -207,7 +207,7 @@ def _wrist_finding(wrist: Point, confidence: float, evidence: tuple[str, ...]) -
 
 
 def _either_side() -> Finding:
-    why = "a gripper has no side: either human hand drives it"
+    why = "a gripper has no side: either human hand can drive it"
     return Finding("side", "either", 1.0, (why,), "edit 'gripper' in the spec file")
 
 
@@ -229,7 +229,7 @@ def _choose(
     fits = [tree for tree, layout in layouts if layout.side == side]
     if len(fits) != 1:
         hint = "use --side right or --side left" if side is None else "name one with --palm"
-        raise HandModelError(f"{path} holds {len(trees)} hands ({choices}); {hint}")
+        raise HandModelError(f"{path} contains {len(trees)} hands ({choices}); {hint}")
     return _Analysis(skeleton, fits[0], side, overrules)
 
 
@@ -310,7 +310,7 @@ def _described(
     thumb_joints = " → ".join(descriptions[0].joints)
     sure_order = 1.0 if set(names) <= set(analysis.chosen.values()) else layout.order_confidence
     other = "left" if layout.side == "right" else "right"
-    overrule = "a body or joint of the right finger"
+    overrule = "a body or joint of the correct finger"
     findings = (
         _either_side()
         if gripper
@@ -426,8 +426,8 @@ def _given_tip(skeleton: Skeleton, chain: Chain, finger: str, point: Point) -> T
     if body not in rigid:
         options = ", ".join(repr(skeleton.body_name(b)) for b in rigid)
         raise HandModelError(
-            f"--tip puts the tip of {finger} on {point.body!r}; it must be fixed to that finger's "
-            f"last link: {options}"
+            f"--tip puts the tip of {finger} on {point.body!r}; choose a body that is fixed to "
+            f"that finger's last link: {options}"
         )
     at = skeleton.place(skeleton.reference)
     x, y, z = (float(c) for c in at.world(body, np.array(point.offset)))
@@ -643,7 +643,7 @@ def _wrist_joints(
         return (), ()
     sure, why = 0.8, f"{counted(len(above), 'joint')} between base and palm"
     if len(above) > MOST_WRIST_JOINTS + 1 or len(names) > MOST_WRIST_JOINTS:
-        names, why = (), f"{why}: more than a wrist has, so they are an arm's"
+        names, why = (), f"{why}: more joints than a wrist has, so they belong to an arm"
     elif not names:
         why += ", but none of them flexes or deviates the wrist within limits"
     elif all(map(says_wrist, names)):

@@ -183,7 +183,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     declared side."""
     hand = samples.hand
     if hand.spec.gripper:
-        return Check("side", "ok", "a gripper has no side: either human hand drives it")
+        return Check("side", "ok", "a gripper has no side: either human hand can drive it")
     if axes is None or "thumb" not in sound:
         return Check("side", "skipped", "not checked: correct the fingertips or axes first")
     sign = 1.0 if hand.spec.side == "right" else -1.0
@@ -222,8 +222,8 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
         return check(
             "warning",
             text,
-            "the finger taken for the thumb is next to the little finger; if it is not the thumb, "
-            "set another one with --thumb",
+            "the finger detected as the thumb is next to the little finger; if it is not the "
+            "thumb, name the correct one with --thumb",
         )
     if max(thumb_offset, order) < _CLEAR:
         return check("ok", f"{text}, so the hand can serve as a right or a left hand")

@@ -240,7 +240,7 @@ def _given_pad(skeleton: Skeleton, chain: Chain, finger: str, point: Point) -> P
     if skeleton.body(point.body) not in bodies:
         options = ", ".join(repr(skeleton.body_name(b)) for b in bodies if b)
         raise HandModelError(
-            f"--tip puts the pad of {finger} on {point.body!r}; it must be fixed to that jaw: "
-            f"{options}"
+            f"--tip puts the pad of {finger} on {point.body!r}; choose a body that is fixed to "
+            f"that jaw: {options}"
         )
     return point

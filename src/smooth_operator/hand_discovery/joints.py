@@ -105,8 +105,8 @@ def check_motion(samples: Samples) -> Check:
         return check(
             "warning",
             f"{_list(idle)}: no landmark moves with it",
-            "the joint belongs to no finger of the description and stays at neutral; if it moves "
-            "a finger, add that finger",
+            "the joint does not belong to a finger of the description, so it stays in its "
+            "neutral position; if it moves a finger, add that finger",
         )
     if slight := [name for name, distance in moved.items() if distance < _SLIGHT]:
         return check(

@@ -105,7 +105,7 @@ def _note(solutions: Sequence[OpenLoop], couplings: Sequence[Coupling]) -> str:
         f"{leaders} are commanded, within limits that the motors reach"
     )
     if any(len(one.leaders) > 1 for one in solutions):
-        text += ", each joint alone but not in every combination"
+        text += ", which hold for each joint alone but not for every combination"
     if couplings:
         error = math.degrees(max(c.error for c in couplings))
         followers = ", ".join(c.joint for c in couplings)

@@ -132,9 +132,11 @@ class BusLock:
                 f"{self.bus} is in use by another run of smooth-operator{process}; end that "
                 "run first: two programs on one bus would send conflicting commands"
                 if ":" in name
-                else f"another run of smooth-operator{process} uses a hand that may be "
-                f"{self.bus}; name the port or serial number of both hands, or end that run "
-                "first"
+                else (
+                    f"another run of smooth-operator{process} uses a hand that may be on "
+                    f"{self.bus}; name the port or serial number of both hands, or end that run "
+                    "first"
+                )
             ) from error
         try:
             os.lseek(file, 0, os.SEEK_SET)

@@ -112,8 +112,8 @@ class CommandGuard:
         missing = [n for n, v in zip(self._map.table.names, measured, strict=True) if v != v]
         if missing:
             raise SinkError(
-                f"{', '.join(missing)} gave no position, and the hand is not moved until its "
-                "position is known; check its cables and power"
+                f"{', '.join(missing)} did not report a position, and the hand is not moved until "
+                "its position is known; check its cables and power"
             )
         angles = self._map.drive_angles(measured)
         beyond = np.abs(angles - self._map.drive_angles(self._map.clip(measured)))

@@ -324,7 +324,7 @@ class ActuatorMover:
                     raise
         lost = [n for n, v in zip(self.names, reading.positions, strict=True) if v != v]
         if lost:
-            raise SinkError(f"no position of {', '.join(lost)}; check the cables")
+            raise SinkError(f"no position from {', '.join(lost)}; check the cables")
         return reading
 
     def _run(self) -> None:

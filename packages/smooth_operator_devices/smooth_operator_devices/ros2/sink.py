@@ -218,7 +218,9 @@ class Ros2Sink(ThreadedSink):
             self._topics("hand", side)
         self._endpoint()
         if not self.joints.strip():
-            raise ConfigError("ros2: joints must be all, actuated or names of joints, not nothing")
+            raise ConfigError(
+                "ros2: joints must be all, actuated or names of joints; it must not be empty"
+            )
         if self.table is not None and (self.joints, self.prefix) != ("auto", ""):
             raise ConfigError(
                 "ros2: the table determines names and order; remove joints and prefix"

@@ -129,8 +129,8 @@ class BvhStream(StreamSource):
                 if len(values) not in forms:
                     raise RecordingError(
                         f"a frame has {len(values)} numbers, but {self.skeleton.name} needs "
-                        f"{listed(sorted(forms))}; export the skeleton again with the program that "
-                        "sends"
+                        f"{listed(sorted(forms))}; export the skeleton again with the program "
+                        "that sends the frames"
                     )
                 form, skip = forms[len(values)]
                 hands = form.recordings(values[None, skip:], np.zeros(1), "bvh")

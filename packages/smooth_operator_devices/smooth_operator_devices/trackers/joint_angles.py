@@ -200,7 +200,7 @@ def _angles(given: Any, unit: Unit) -> np.ndarray:
     if (np.abs(angles) > _MOST).any():
         name = _NAMES[int(np.nanargmax(np.abs(angles)))]
         raise RecordingError(
-            f"the angle {name!r} is {brief(given.get(name))} {unit}, more than a joint turns; set "
-            "the unit that the glove sends: angles:deg or angles:rad"
+            f"the angle {name!r} is {brief(given.get(name))} {unit}, more than a joint can turn; "
+            "set the unit that the glove sends: angles:deg or angles:rad"
         )
     return angles

@@ -151,7 +151,10 @@ class OpenXrInbox(PolledInbox):
                 xr.end_session(self._session)
                 self._runs, self.problem = False, f"{self.address} has paused the session"
             elif state in (states.EXITING, states.LOSS_PENDING):
-                raise SourceError(f"{self.address} ended the session; start it and this again")
+                raise SourceError(
+                    f"{self.address} ended the session; start it again, then start this program "
+                    "again"
+                )
 
     def _time(self) -> Any:
         """The present, as the runtime counts time."""

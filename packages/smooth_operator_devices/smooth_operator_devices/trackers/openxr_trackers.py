@@ -34,8 +34,8 @@ class TrackerInbox(OpenXrInbox):
     def __init__(self, roles: Mapping[Side, str], rate: float) -> None:
         self._roles = roles
         self.missing = (
-            f"tracks no tracker with the role {' or '.join(roles.values())} now; switch it on, and "
-            "give it this role in the runtime's settings (SteamVR: Manage Trackers)"
+            f"does not track any tracker with the role {' or '.join(roles.values())} now; switch "
+            "it on, and give it this role in the runtime's settings (SteamVR: Manage Trackers)"
         )
         super().__init__(rate)
 

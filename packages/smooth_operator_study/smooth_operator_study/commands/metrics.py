@@ -107,7 +107,7 @@ def read_take(file: Path) -> Take:
         log.recording.stamps, log.commands.stamps, assume_unique=True, return_indices=True
     )
     if not len(stamps):
-        raise StudyError(f"no command of the take {str(file)!r} answers a frame")
+        raise StudyError(f"no command of the take {str(file)!r} matches a frame")
     recording = log.recording
     if len(stamps) < len(recording):
         parts = ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist")

@@ -246,7 +246,7 @@ class Run(Common):
     work: ClassVar[str] = "smooth_operator_study.commands.run:run_study"
     details: ClassVar[
         str
-    ] = """The experimenter's page guides through the protocol; the operator's page shows the
+    ] = """The experimenter's page guides you through the protocol; the operator's page shows the
 questionnaires. Every event is written to disk before a page shows it, so the server and the
 browsers may be killed at any time and continue at the same step. Press Ctrl-C to stop.
 

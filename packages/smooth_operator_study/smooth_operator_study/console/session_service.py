@@ -333,7 +333,7 @@ class SessionService:
 
     def _switch_again(self) -> int:
         if self._hand is None or self.operator is None:
-            raise StudyError("no teleoperation is connected that could be switched")
+            raise StudyError("no running teleop is connected, so nothing can be switched")
         with self._switching:
             self._hand.again(self._store.progress(self.operator))
         return 0

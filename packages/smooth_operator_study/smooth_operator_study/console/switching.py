@@ -98,9 +98,7 @@ class TeleopStatus:
     has_object: bool | None = None
 
 
-HIDDEN: Final = (
-    "the teleoperation could not be switched; the terminal of the console shows the reason"
-)
+HIDDEN: Final = "teleop could not be switched; the terminal of the console shows the reason"
 """Message for a blind experimenter, since the reason may name the method."""
 
 
@@ -157,7 +155,7 @@ class SessionTeleop:
             self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
         except StudyError as error:
             self._report_once(error)
-            why = HIDDEN if self._blind else f"the teleoperation could not be switched: {error}"
+            why = HIDDEN if self._blind else f"teleop could not be switched: {error}"
             raise StudyError(f"the {what} does not start: {why}") from error
         try:
             if do == "start_block":
@@ -245,7 +243,7 @@ class SessionTeleop:
         except StudyError as error:
             self._report_once(error)
         if switched and progress.running is not None:
-            return "the teleoperation ran another method during a trial; it was switched back"
+            return "teleop ran another method during a trial; it was switched back"
         return ""
 
     def again(self, progress: Progress) -> None:
@@ -319,8 +317,7 @@ class SessionTeleop:
             running = _running(self._request("method", method=condition.method, **preset))
             if running[0] != condition.method:
                 why = (
-                    f"the requested method was {condition.method!r}, but the teleoperation "
-                    f"runs {running[0]!r}"
+                    f"the requested method was {condition.method!r}, but teleop runs {running[0]!r}"
                 )
                 self._set(replace(self.status, state="refused", detail=why, running=running))
                 raise StudyError(why)
@@ -361,7 +358,7 @@ class SessionTeleop:
     def _report_once(self, error: Exception) -> None:
         if str(error) != self._reported:
             self._reported = str(error)
-            self._report(f"the teleoperation: {error}")
+            self._report(f"teleop: {error}")
 
     # The simulation.
 

@@ -125,7 +125,7 @@ class Checked:
                 continue
             value = _number(row[column])
             if value is None or not allowed(value):
-                self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
+                self.complain(number, column, f"expected {expected}, not {brief(row[column])}")
                 value = math.nan
             floats.append(value)
         return floats
@@ -218,7 +218,7 @@ def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
     points = []
     for (number, _), word in zip(table.rows, table.words("point"), strict=True):
         if word.lower() not in POINTS:
-            table.complain(number, "point", f"expected {', '.join(POINTS)}; came {brief(word)}")
+            table.complain(number, "point", f"expected {', '.join(POINTS)}, not {brief(word)}")
         points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
     columns = {
         **{column: table.words(column) for column in ("operator", "task", "retargeter")},
@@ -519,7 +519,7 @@ def _kind(name: str, header: Sequence[str]) -> str:
     raise StudyError(
         f"{name} is not a table of a study. Expected the columns {', '.join(TRIAL_COLUMNS)} "
         f"(trials), {', '.join(QUESTIONNAIRE_COLUMNS)} (questionnaires), or "
-        f"{', '.join(METRIC_COLUMNS)} and metrics; came {listed(header) or 'nothing'}"
+        f"{', '.join(METRIC_COLUMNS)} and metrics; found {listed(header) or 'nothing'}"
     )
 
 

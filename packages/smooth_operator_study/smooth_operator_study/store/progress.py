@@ -471,7 +471,7 @@ def check_event(state: Progress, event: Event) -> None:
                 raise _refusal(state, "has already withdrawn")
         case BreakStarted():
             if step.what in _NO_BREAK:
-                raise _refusal(state, f"no break can begin: {_message(step)} is in progress")
+                raise _refusal(state, f"a break can't begin: {_message(step)} is in progress")
         case Recalibrated():
             if step.what in _NO_CALIBRATION:
                 raise _refusal(

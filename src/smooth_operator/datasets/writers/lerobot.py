@@ -145,7 +145,7 @@ def _tracks(file: IO[bytes], path: Path) -> Iterator[VideoHead | None]:
         kind, head, length = _box(file.read(16), size - at)
         if kind == b"moov":
             if length > _MOST_HEAD:
-                raise ValueError(f"its tables have {length} bytes")
+                raise ValueError(f"its box 'moov' has {length} bytes, which is too large")
             file.seek(at + head)
             content = file.read(length - head)
             for name, track in _boxes(content):
@@ -467,8 +467,8 @@ class _Writer(ShardedWriter):
             return None
         if clip.clip.video is None:
             raise RecordingError(
-                f"{clip.clip.name} has no video; in a LeRobot data set, either all episodes have a "
-                "video or none has: write without videos, or leave this clip out"
+                f"{clip.clip.name} has no video; in a LeRobot data set, either all episodes have "
+                "a video or none do: write without videos, or leave this clip out"
             )
         return video_head(clip.clip.video)
 

@@ -94,7 +94,9 @@ class ShardedWriter(ABC):
         self._open = False
         self._number = 0
         if output.exists() and not output.is_dir():
-            raise OutputError(f"can't write {str(output)!r}: it is a file; name a folder")
+            raise OutputError(
+                f"can't write {str(output)!r}: it is a file; give the name of a folder"
+            )
         with _about(output):
             for folder in (INDEX, CONFIGURATIONS):
                 (output / folder).mkdir(parents=True, exist_ok=True)

@@ -223,7 +223,7 @@ def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
     lost, doubled = int((rows < 0).sum()), bool((np.diff(rows) <= 0).any())
     if lost or doubled:
         what = (
-            f"{lost} commands belong to no frame"
+            f"{lost} commands do not belong to any frame"
             if lost
             else "several commands belong to one frame"
         )

@@ -133,7 +133,7 @@ def open_dataset(path: Path) -> Dataset:
         rows += table.select(columns).to_pylist()
     if not rows or any(type(row.get("episode_index")) is not int for row in rows):
         raise RecordingError(
-            f"{path}: meta/episodes holds no episodes; the dataset is incomplete, copy it again"
+            f"{path}: meta/episodes holds no episodes, so the dataset is incomplete; copy it again"
         )
     return Dataset(path, info, tuple(sorted(rows, key=lambda row: int(row["episode_index"]))))
 
@@ -235,7 +235,7 @@ def _frames(row: Mapping[str, Any], table: Any, file: Path) -> Any:
     if table.num_rows != row.get("length", table.num_rows) or not table.num_rows:
         raise RecordingError(
             f"{file}: it holds {table.num_rows} frames of episode {row['episode_index']}, but the "
-            f"metadata say {row.get('length')}; the dataset is incomplete, copy it again"
+            f"metadata say {row.get('length')}, so the dataset is incomplete; copy it again"
         )
     if "frame_index" not in table.column_names:
         return table

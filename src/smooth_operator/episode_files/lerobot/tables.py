@@ -102,7 +102,7 @@ def read_table(path: Path, filters: Any = None) -> Any:
         raise
     except FileNotFoundError:
         raise RecordingError(
-            f"{path}: no such file; the dataset is incomplete, copy it again"
+            f"{path}: no such file, so the dataset is incomplete; copy it again"
         ) from None
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         raise damaged(path, f"Parquet: {error}") from error

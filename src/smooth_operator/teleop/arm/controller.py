@@ -520,8 +520,8 @@ class ArmController:
                 return self.limiter.q.copy()
         raise ConfigError(
             f"arm {self.arm.name!r} can't reach the home pose of hand {self.mount.hand.name!r}: "
-            f"{1e3 * command.position_error:.0f} mm and {command.rotation_error:.2f} rad away from "
-            "it; mount the hand at another roll angle, or with a thinner adapter"
+            f"{1e3 * command.position_error:.0f} mm and {command.rotation_error:.2f} rad remain; "
+            "mount the hand at another roll angle, or with a thinner adapter"
         )
 
 

@@ -75,8 +75,9 @@ def summarise(
     if added:
         reporter.note(
             f"{summary['frames_answered']} frames in {seconds:.1f} s, commands at "
-            f"{summary['rate_hz']:.0f} Hz; received to sent p50 {added['p50']:.2f} ms, "
-            f"p99 {added['p99']:.2f} ms; {100 * summary['deadlines_missed_share']:.2f} % late"
+            f"{summary['rate_hz']:.0f} Hz; from receiving a frame to sending its command p50 "
+            f"{added['p50']:.2f} ms, p99 {added['p99']:.2f} ms; "
+            f"{100 * summary['deadlines_missed_share']:.2f} % late"
         )
     elif loop.mailbox.received:
         others = loop.mailbox.received_of

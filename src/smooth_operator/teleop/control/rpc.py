@@ -509,7 +509,7 @@ class RpcHandlers:
             word for word in ("begin", "finish", "cancel", "pause", "resume") if fields.get(word)
         ]
         if len(actions) > 1:
-            raise ConfigError(f"a trial can't {' and '.join(actions)} together")
+            raise ConfigError(f"a trial can't {' and '.join(actions)} at the same time")
         about = fields.get("about") or {}
         if not isinstance(about, dict) or {"when_clear", "limit_s", "mark"} & about.keys():
             raise ConfigError(

@@ -245,7 +245,7 @@ def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool
             return
         own = path.is_dir() and is_own_dataset(path)
     elif path.is_dir():
-        raise OutputError(f"can't write {str(path)!r}: it is a folder; name a file")
+        raise OutputError(f"can't write {str(path)!r}: it is a folder; give the name of a file")
     else:
         own = _is_own(path, to)
     if not own:

@@ -141,7 +141,7 @@ class Takes:
             )
         taken = [file.name for file in named.values() if file.exists()]
         if taken:
-            raise ConfigError(f"there already is a take {taken[0]}: choose another name")
+            raise ConfigError(f"there is already a take {taken[0]}: choose another name")
         for file, new in named.items():
             try:
                 file.rename(new)

@@ -434,7 +434,11 @@ class HandPipeline:
             self.filled[finger] += 1
         if filled != self._filled:
             self._filled = filled
-            lost = f"{' and '.join(filled)} not seen and filled in" if filled else "all seen again"
+            lost = (
+                f"{' and '.join(filled)} not seen, so estimated from the other joints"
+                if filled
+                else "all seen again"
+            )
             self.note(f"fingertips: {lost}")
         return arrival if self.supervisor.listens else None
 

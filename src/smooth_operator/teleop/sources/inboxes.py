@@ -217,9 +217,10 @@ class TcpInbox(Inbox):
             client.buffer += chunk
             if client.new and not self._begins(client.buffer):
                 raise RecordingError(
-                    f"a web page or another program at {client.mark[0].decode()} connected "
-                    f"to this port and was closed: {brief(bytes(client.buffer[:24]))} is "
-                    "not the start of a message of this source"
+                    f"a web page or another program at {client.mark[0].decode()} connected to "
+                    "this port, and its connection was closed: "
+                    f"{brief(bytes(client.buffer[:24]))} is not how a message of this source "
+                    "starts"
                 )
             messages += [(data, *client.mark) for data in self._split(client.buffer)]
             client.new = client.new and not messages

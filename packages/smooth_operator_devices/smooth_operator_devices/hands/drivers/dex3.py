@@ -168,7 +168,9 @@ class Dex3Device(HandDevice):
         try:
             publish(HandCommand(motors, [0] * 4))
         except DDSException as error:
-            raise DeviceLostError(f"dex3: the network does not take a command ({error})") from error
+            raise DeviceLostError(
+                f"dex3: a command can't be sent over the network ({error})"
+            ) from error
 
     def _state(self, seconds: float) -> Any:
         """The next state; seven motors without NaN."""
@@ -182,7 +184,7 @@ class Dex3Device(HandDevice):
                         f"{MOTORS} finite positions"
                     )
                 return state
-        raise WrongAnswerError(f"dex3: no state of the hand within {seconds:g} s")
+        raise WrongAnswerError(f"dex3: no state arrived from the hand within {seconds:g} s")
 
     def _received(self, seconds: float) -> list[Any]:
         """States that came; counts commands of other programs."""

@@ -103,7 +103,8 @@ class DexHand021Device(HandDevice):
         missing = [board for board in range(BOARDS) if board not in self._frames]
         if missing:
             raise WrongAnswerError(
-                f"dexhand021: no feedback of board {self._first + missing[0]} within {_TIMEOUT:g} s"
+                f"dexhand021: no feedback from board {self._first + missing[0]} within "
+                f"{_TIMEOUT:g} s"
             )
         frames = [self._frames[board] for board in range(BOARDS)]
         if short := [len(frame) for frame in frames if len(frame) < _LEAST]:

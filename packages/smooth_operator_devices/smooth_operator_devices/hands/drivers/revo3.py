@@ -108,7 +108,10 @@ class Revo3Device(HandDevice):
             self._check_side("left" if information.hand_side == main_mod.HandSide.Left else "right")
             layout = self._hand.joint_layout
             if layout is None or layout.joint_count != MOTORS:
-                raise SinkError("revo3: the hand has no layout of 21 joints; only the Ultra has")
+                raise SinkError(
+                    "revo3: the hand does not have the layout of 21 joints, which only the Ultra "
+                    "has"
+                )
             self.read()
 
     def read(self) -> Reading:
@@ -118,7 +121,7 @@ class Revo3Device(HandDevice):
         state = self._run(hand.state.snapshot, "state")
         rows = [state.positions_deg, state.velocities_rpm, state.currents_ma]
         if any(len(row) != MOTORS for row in rows) or not np.isfinite(rows[0]).all():
-            raise WrongAnswerError(f"revo3: a state without {MOTORS} finite positions received")
+            raise WrongAnswerError(f"revo3: received a state without {MOTORS} finite positions")
         if self._cycle % _SLOW == 0:
             self._faults = list(self._run(hand.health.snapshot, "health").motor_fault_codes)
         elif self._cycle % _SLOW == 1:

@@ -190,14 +190,16 @@ class Wuji2Device(HandDevice):
         deadline = time.perf_counter() + _TIMEOUT
         while (frame := stream.recv()) is None:
             if time.perf_counter() > deadline:
-                raise WrongAnswerError(f"wuji2: no state of the hand within {_TIMEOUT:g} s")
+                raise WrongAnswerError(
+                    f"wuji2: no state arrived from the hand within {_TIMEOUT:g} s"
+                )
             time.sleep(_POLL_S)
         return frame
 
     def _joint(self, nid: int) -> int:
         joint = int(self._sdk.WujiHand2.nid_to_joint_index(nid))
         if not 0 <= joint < MOTORS:
-            raise WrongAnswerError(f"wuji2: a state of the unknown joint {nid} received")
+            raise WrongAnswerError(f"wuji2: received a state of the unknown joint {nid}")
         return joint
 
     def _fault(self, code: int) -> str:

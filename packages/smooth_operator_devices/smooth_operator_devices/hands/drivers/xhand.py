@@ -60,8 +60,8 @@ class XHandSink(HardwareSink):
         if sys.modules.get(_PACKAGE) is None and importlib.util.find_spec(_PACKAGE) is None:
             raise ConfigError(
                 f"xhand needs the maker's package {_PACKAGE}, which is not installed: install the "
-                "wheel that RobotEra gives with the hand. The package xhand of the package index "
-                "is not the maker's"
+                "wheel that RobotEra supplies with the hand. The package xhand on PyPI is not "
+                "from the maker"
             )
         return XHandDevice(actuators, self.port)
 
