@@ -302,8 +302,8 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 
 
 def foreign_result(path: Path) -> str | None:
-    """Reason why ``OUT.npz`` and its configuration can't be written, which is that one of the files
-    exists and is not an earlier result. None if they can be written."""
+    """Returns a message if ``OUT.npz`` or its configuration file exists and is not an earlier
+    result; None if both files can be written."""
     settings_file = config_path(path)
     for existing in (path, settings_file):
         if existing.exists() and not existing.is_file():

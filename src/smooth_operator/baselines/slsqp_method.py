@@ -283,7 +283,7 @@ class SlsqpMethod(Method):
     def prepare(
         self, state: SlsqpMethodState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> SlsqpProblem:
-        """Computes the targets of the frame and the start of SLSQP."""
+        """Computes the targets of the frame and the point at which SLSQP starts."""
         del ticks
         config, layout = self.config.objective, self.objective.layout
         targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))

@@ -183,7 +183,7 @@ def by_panel(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
 
 
 def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Groups rows by hand, left and right together, in the order of the rows."""
+    """Groups rows by robot hand, with left and right in one group; keeps the order of the rows."""
     return {hand: group for (hand,), group in _grouped(rows, ("hand",)).items()}
 
 

@@ -186,7 +186,7 @@ RowKey: TypeAlias = tuple[str, str, str, str, str]
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """The result of a cell.
+    """The result of one cell: one method with one hand on one recording.
 
     Attributes:
         cell: the cell.

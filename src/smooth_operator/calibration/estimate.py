@@ -1,5 +1,5 @@
-"""Estimates, from a recording, how far apart a tracker reports thumb and finger in an operator's
-pinches."""
+"""Measures, from a recording, the gap that a tracker reports when an operator's thumb and finger
+touch."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Calibration:
 
 
 def calibrate(recording: HandRecording, segments: Sequence[Segment] | None = None) -> Calibration:
-    """Measures how far apart a tracker reports thumb and finger when an operator pinches.
+    """Measures the gap that a tracker reports between thumb and finger when an operator pinches.
 
     The gap of a finger is the median distance from the thumb in the closest four fifths of the
     frames of its pinches, because an operator may close late or open early.

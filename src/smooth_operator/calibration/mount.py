@@ -1,4 +1,4 @@
-"""Finds where a tracker sits on a glove, from two motions of the hand that wears it.
+"""Finds where a tracker is mounted on a glove, from two motions of the hand that wears it.
 
 A tracker on the back of the hand has a constant pose relative to the wrist. With the forearm held,
 the hand turns about the wrist's centre; the point of the tracker's frame that moves least is that
@@ -56,7 +56,7 @@ _OUTLIER: Final = 3.0  # residuals beyond this multiple of their median are left
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Where a tracker sits on a hand.
+    """Where a tracker is mounted on a hand.
 
     Attributes:
         T_tracker_wrist: (7,) pose of the wrist in the tracker's frame, with the axes of
@@ -77,7 +77,7 @@ class Mount:
 
 
 def find_mount(turning: Float[np.ndarray, "n 7"], sliding: Float[np.ndarray, "m 7"]) -> Mount:
-    """Finds where a tracker sits on a hand.
+    """Finds where a tracker is mounted on a hand.
 
     Args:
         turning: poses of the tracker in a z-up world while the hand turns about the wrist and the

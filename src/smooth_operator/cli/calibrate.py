@@ -1,4 +1,4 @@
-"""``smooth-operator calibrate``: measures an operator's pinches, or where a tracker sits on a
+"""``smooth-operator calibrate``: measures an operator's pinches, or where a tracker is on a
 glove, and writes a file."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""``smooth-operator edit``: cuts and marks recordings made with ``teleop``, and writes new
-files."""
+"""``smooth-operator edit``: cuts recordings made with ``teleop`` or adds named marks to them, and
+writes new files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Edit(Common):
-    """Cut and mark a recording made with teleop, and write the result to a new file."""
+    """Cut a recording made with teleop or add named marks to it, and write a new file."""
 
     work: ClassVar[str] = "smooth_operator.cli.edit:edit"
     details: ClassVar[str] = """Times are seconds since the first frame or command. The

@@ -19,7 +19,7 @@ from smooth_operator.hands.spec import Coupling
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """A loop that was opened, with its joints.
+    """A closed loop of links that was cut open, with its joints.
 
     Attributes:
         loop: the loop.

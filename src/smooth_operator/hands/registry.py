@@ -62,7 +62,7 @@ MAKERS_HANDS: Final = tomllib.loads((MODELS.parent / "makers_hands.toml").read_t
 
 @dataclass(frozen=True)
 class HandEntry:
-    """A hand of the registry.
+    """One hand in the registry.
 
     Attributes:
         name: name by which it is loaded.

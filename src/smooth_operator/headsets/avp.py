@@ -139,7 +139,7 @@ def _message_class() -> tuple[Any, type[Exception]]:
 
 
 def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
-    """Reads the hands that the headset has seen from an encoded ``HandUpdate``, left first. Raises
+    """Decodes a ``HandUpdate`` and returns the hands that the headset saw, left hand first. Raises
     RecordingError if the message is damaged, or if a hand has too few joints."""
     if len(data) > MOST_BYTES:
         raise RecordingError(f"a message of {len(data)} bytes is too long; at most {MOST_BYTES}")

@@ -159,7 +159,7 @@ def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
 
 
 def of_the_other(side: Side) -> Doubt:
-    """Makes the problem that is reported for a hand that is not of the declared ``side``."""
+    """Returns the problem to report for a hand whose side is not the declared ``side``."""
     other: Side = "left" if side == "right" else "right"
     return Doubt(
         f"judging by its shape, this is a {other} hand: on a {side} hand, fingers and thumb would "
@@ -269,7 +269,8 @@ class HandCheck:
 def wrong_order(
     points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...], believed: bool = False
 ) -> Doubt | None:
-    """Problem with the order of the points; if the order is believed, only with their kind."""
+    """Returns the problem with the order of the points; None if nothing is wrong. If the order is
+    ``believed``, only checks that the points are not image landmarks."""
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
         if of_a_picture(points[:, list(stated)]):
             return OF_A_PICTURE

@@ -72,8 +72,8 @@ def extension_error(
 def flat_extension_lack(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """How much the robot's fingers lack to be straight while the human hand is flat, on average;
-    lower is better. None if the human hand is never flat."""
+    """How much less the robot's fingers are extended than the human's while the human hand is flat,
+    on average; lower is better. None if the human hand is never flat."""
     flat = (human > FLAT).all(axis=-1)  # NaN compares as False
     return summary.mean(np.maximum(human - robot, 0.0)[flat])
 
@@ -81,8 +81,8 @@ def flat_extension_lack(
 def fist_extension_excess(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """How much farther the robot's fingers are extended than the human's while the human hand is a
-    fist, on average; lower is better. None if the human hand never makes a fist."""
+    """How much farther the robot's fingers are extended than the human's while the human hand makes
+    a fist, on average; lower is better. None if the human hand never makes a fist."""
     fist = (human < FIST).all(axis=-1)
     return summary.mean(np.maximum(robot - human, 0.0)[fist])
 

@@ -82,7 +82,7 @@ def death(attempts: int, how: str) -> str:
 
 @contextmanager
 def one_thread(slot: int) -> Iterator[Callable[[], None]]:
-    """Limits libraries that start threads inside the block to one thread.
+    """Makes multithreaded libraries use only one thread inside the block.
 
     Small programs are faster with one: the preset realtime takes 0.6 ms per frame on one of XLA's
     threads and 0.8 ms on two. Also, as many workers as cores then do not compete for the cores.

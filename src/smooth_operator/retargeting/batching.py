@@ -279,7 +279,7 @@ class LaneProgram:
         prepared: Callable[[np.ndarray], np.ndarray],
     ) -> BatchArrays:
         """Does the work of ``BatchRetargeter.batch_arrays``; ``prepared`` converts landmarks to the
-        program's form."""
+        data type and side that the compiled program takes."""
         count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
         if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
             raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")

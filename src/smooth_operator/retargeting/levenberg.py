@@ -70,7 +70,8 @@ def newton_candidates(
 
 
 def best_of(costs: Float[Array, " c"]) -> tuple[Array, Array]:
-    """Index of the lowest finite cost, and that cost; infinite if no cost is finite."""
+    """Returns the index of the lowest finite cost, and that cost, which is infinite if no cost is
+    finite."""
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     winner = jnp.argmin(costs)
     return winner, costs[winner]

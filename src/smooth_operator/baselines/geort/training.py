@@ -194,8 +194,8 @@ _BATCHES, _VALIDATION = 0xBA, 0x5E  # different random numbers for the two
 
 
 class TrainingState(NamedTuple):
-    """State of a training, as a pytree of arrays. Random numbers are a function of the seed and
-    ``epoch``.
+    """State of a training run, as a pytree of arrays. Random numbers are a function of the seed
+    and ``epoch``.
 
     Attributes:
         weights: weights of the networks.

@@ -65,7 +65,7 @@ def column(values: np.ndarray) -> Any:
 
 def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
     """Reads a (T, width) array from a column that ``column`` made or that another program rewrote.
-    Raises RecordingError if there is no such column, or if it has other content."""
+    Raises RecordingError if the column is missing, or does not hold ``width`` numbers per row."""
     pa = arrow()
     if name not in table.column_names:
         raise RecordingError(

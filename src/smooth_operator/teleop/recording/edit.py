@@ -33,7 +33,9 @@ EDITS: Final = "edits"
 
 @dataclass(frozen=True)
 class Edit:
-    """How to cut and mark a recording. Times are seconds since its first frame or command.
+    """How to cut a recording, and the named marks to add to it.
+
+    Times are seconds since its first frame or command.
 
     Attributes:
         keep: time ranges (from, to) to keep; empty for all.

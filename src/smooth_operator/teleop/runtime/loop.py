@@ -359,7 +359,7 @@ class Controls:
         self.change(lambda hand: hand.supervisor.resume())
 
     def follow(self, on: bool) -> None:
-        """Engages or releases the wrist clutch; the fingers continue to follow to follow."""
+        """Engages or releases the wrist clutch; the fingers continue to follow."""
         self.change(lambda hand: hand.clutch.follow(on))
 
     def stop(self) -> None:
@@ -381,7 +381,7 @@ class Controls:
         self.change(release)
 
     def change(self, change: Change) -> None:
-        """Applies a change to every hand, on the loop's thread; it must be quick."""
+        """Applies a change to every hand, on the loop's thread; the change must be quick."""
         self._pending.append(change)
         self._mailbox.wake()
 

@@ -88,7 +88,7 @@ const actions = {
     'Use this for a fault that is not the operator’s. The time until you resume does not count.', [REASON], 'Pause'),
   endBlock: () => actions.inquire('end_block', PLACE.slice(0, 2), `End block ${link.state.now.block} of ${link.state.now.task} now?`,
     'Its remaining trials and questionnaires are skipped. The next block follows.', [REASON], 'End the block'),
-  recalibrate: () => actions.inquire('recalibrate', ['task'], 'Calibrate again', 'Calibrate, then enter the file. It is loaded into the running teleoperation.',
+  recalibrate: () => actions.inquire('recalibrate', ['task'], 'Calibrate again', 'Calibrate, then enter the file. It is loaded into the running teleop.',
     [{ name: 'detail', label: 'Calibration file or note', required: true, maxLength: 400 }], 'Calibrated'),
   withdraw: () => actions.inquire('withdraw', [], `Operator ${link.state.now.operator} withdraws`,
     'There are no further steps, and a running trial becomes void. To delete the data, use smooth-operator study erase.', [
@@ -172,7 +172,7 @@ function drawHead({ study, now, teleop, pages }) {
   const chip = part('teleop');
   chip.hidden = !teleop;
   show('hand', teleop && ['refused', 'gone'].includes(teleop.state),
-    teleop?.state === 'gone' ? `The teleoperation does not answer. ${teleop.detail}` : `The teleoperation was not switched: ${teleop?.detail}`);
+    teleop?.state === 'gone' ? `teleop does not answer. ${teleop.detail}` : `teleop was not switched: ${teleop?.detail}`);
   if (teleop) {
     const scene = teleop.scene ? ` · ${teleop.scene}` : '';
     chip.textContent = { ready: `robot hand: ${teleop.running ?? 'ready'}${scene}`, switching: 'robot hand: switching …', refused: 'robot hand: not switched',

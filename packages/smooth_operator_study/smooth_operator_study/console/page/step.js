@@ -29,7 +29,7 @@ const STEPS = {
     return [
       h('h2', {}, 'Calibration'),
       h('p', {}, 'Calibrate tracker and hand to the operator, with the live page or smooth-operator calibrate. ',
-        state.teleop && 'If you give a file, it is loaded into the running teleoperation.'),
+        state.teleop && 'If you give a file, it is loaded into the running teleop.'),
       h('p', {}, h('label', { for: 'detail' }, 'Calibration file or note'), detail),
       h('div', { class: 'row' },
         main('Calibrated', 'Space', blocked, () => send(detail.value.trim())),

@@ -191,7 +191,8 @@ _ROUND: Final = 24  # edges of round shapes, which are small on the page
 
 
 class SceneryNodes:
-    """Draws the shapes of a task around one robot hand, in its palm frame, the node ``root``."""
+    """Draws the shapes of a task around one robot hand. Their poses are relative to the hand's palm
+    frame, which is the node ``root``."""
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
         self._scene, self._root, self._scale = scene, root, scale
