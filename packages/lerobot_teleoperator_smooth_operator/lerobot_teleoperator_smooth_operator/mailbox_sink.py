@@ -27,7 +27,7 @@ class MailboxSink(Sink):
 
     @property
     def label(self) -> str:
-        """``lerobot``."""
+        """The word ``lerobot``."""
         return "lerobot"
 
     @property

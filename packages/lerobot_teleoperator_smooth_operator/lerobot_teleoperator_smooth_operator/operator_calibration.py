@@ -41,7 +41,7 @@ class HandsOfCommands(ThreadedSource):
 
     @property
     def label(self) -> str:
-        """``smooth_operator``."""
+        """The word ``smooth_operator``."""
         return "smooth_operator"
 
     def run(self, running: Running) -> None:

@@ -302,7 +302,7 @@ class SmoothOperator(Teleoperator):
         return self.operator_file is not None and self.operator_file.exists()
 
     def calibrate(self) -> None:
-        """Ask the operator for pinches in the terminal, and store the gaps that the tracker leaves.
+        """Ask for pinches in the terminal, and store the gaps that the tracker reports.
 
         It takes half a minute. Afterwards no more commands are received: disconnect, and connect
         again. The loop in this process then uses the gaps; for a separate ``teleop``, give the file

@@ -46,7 +46,7 @@ _MIRROR: Final = np.array([-1.0, 1.0, 1.0])
 
 
 class Hawor:
-    """One file, one clip."""
+    """Reader of HaWoR's results; each file is one clip."""
 
     what = "world_space_res.pth of HaWoR"
     expects = (
@@ -107,7 +107,7 @@ class Hawor:
 
 
 class DynHamr:
-    """One file, one clip."""
+    """Reader of Dyn-HaMR's results; each file is one clip."""
 
     what = "a *_world_results.npz of Dyn-HaMR"
     expects = (

@@ -52,7 +52,7 @@ class RerunSink(ThreadedSink):
 
     @property
     def label(self) -> str:
-        """``rerun`` and its viewer or file."""
+        """The word ``rerun`` and the viewer or file."""
         return f"rerun {self.to}"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:

@@ -136,7 +136,7 @@ class CommandGuard:
     def step(
         self, target_positions: Float[np.ndarray, " n"], reading: Reading, seconds: float
     ) -> Float[np.ndarray, " a"]:
-        """The next commands.
+        """Computes the next commands.
 
         Args:
             target_positions: (n,) target joint positions [rad].

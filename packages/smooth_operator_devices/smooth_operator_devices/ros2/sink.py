@@ -230,7 +230,7 @@ class Ros2Sink(ThreadedSink):
 
     @property
     def label(self) -> str:
-        """``ros2`` and the topic."""
+        """The word ``ros2`` and the topic."""
         return f"ros2 {self.topic}"
 
     @property

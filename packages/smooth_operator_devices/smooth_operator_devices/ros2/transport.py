@@ -263,7 +263,7 @@ class Endpoint:
 
 
 def topic_name(template: str, feature: str, **words: str) -> str:
-    """A topic from its template.
+    """Makes the name of a topic from its template.
 
     Args:
         template: the name, with ``{word}`` for a word.
@@ -287,5 +287,5 @@ def topic_name(template: str, feature: str, **words: str) -> str:
 
 
 def describe(error: Exception) -> str:
-    """An error of a library in one line."""
+    """Describes an error of a library in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

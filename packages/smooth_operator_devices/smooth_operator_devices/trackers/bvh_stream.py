@@ -88,7 +88,7 @@ class BvhStream(StreamSource):
 
     @property
     def label(self) -> str:
-        """The source in a few words."""
+        """Short human-readable name of the source."""
         return f"BVH on UDP port {self.port}"
 
     @property

@@ -119,7 +119,7 @@ class DepthCamera(Webcam):
 
     @property
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the source."""
         return f"{self.maker} {self.camera}".rstrip()
 
     def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ class IsaacFeedback(Feedback):
 
     @property
     def label(self) -> str:
-        """``feedback isaac`` and the collection."""
+        """The words ``feedback isaac`` and the collection."""
         return f"feedback isaac {self.collection}".rstrip()
 
     def use_source(self, source: LiveSource) -> None:

@@ -93,7 +93,7 @@ class JointAngles(StreamSource):
 
     @property
     def label(self) -> str:
-        """The source in a few words."""
+        """Short human-readable name of the source."""
         return f"joint angles on {self.topic or self.address or f'UDP port {self.port}'}"
 
     def connect(self) -> Inbox:

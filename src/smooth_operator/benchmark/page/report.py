@@ -137,7 +137,7 @@ PAPER_NOTE: Final = (
 
 
 def macros(**context: Any) -> Any:
-    """Returns the macros of the page template, which can use ``context`` and the names in ``shared``."""
+    """Returns the macros of the page template, which can use ``context`` and some functions."""
     template = templates(__package__).get_template("sections.html.j2")
     shared = {
         "best": best,

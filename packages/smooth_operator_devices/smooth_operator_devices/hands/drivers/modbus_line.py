@@ -16,7 +16,7 @@ TIMEOUT: Final = 0.2
 
 
 class ModbusLine:
-    """One device: questions and their answers, one by one.
+    """One Modbus device, which answers one request at a time.
 
     An Inspire hand may answer with a transaction number that is off by one. The first answer on a
     new connection can't be an old one, so its difference counts for all answers on it; an answer
@@ -77,7 +77,7 @@ class ModbusLine:
             client.close()
 
     def ask(self, address: int, count: int) -> list[int]:
-        """Words of holding registers.
+        """Reads words from holding registers.
 
         Raises:
             WrongAnswerError: there is no valid answer in time, or the device refuses.
