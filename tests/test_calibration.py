@@ -143,7 +143,7 @@ def test_a_bad_file_says_what_is_wrong_with_it(tmp_path):
     refused("damaged, or not JSON", '{"format": ')
     refused("does not describe an operator", [1, 2])
     refused("does not describe an operator", {"program": "smooth-operator"})
-    refused("version 2 of the format.*upgrade", good | {"version": 2})
+    refused("format version 2,.*upgrade", good | {"version": 2})
     refused("source: is missing", {k: v for k, v in good.items() if k != "source"})
     refused(r"sourse: no such entry. Did you mean 'source'\?", good | {"sourse": "x"})
     refused("side must be", good | {"side": "both"})

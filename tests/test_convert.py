@@ -899,7 +899,7 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
         (INFO, info_with(features={}), "with no columns: it contains no human"),
         (INFO, info_with(data_path="../{chunk_index}"), "outside the dataset"),
         (INFO, info_with(data_path="{x}"), "do not say where episode 0 is"),
-        (DATA, Path.unlink, "no such file; the dataset is incomplete"),
+        (DATA, Path.unlink, "no such file, so the dataset is incomplete"),
         (DATA, truncate, "damaged or incomplete"),
         (ROWS, truncate, "damaged or incomplete"),
         (ROWS, Path.unlink, "meta/episodes holds no episodes"),

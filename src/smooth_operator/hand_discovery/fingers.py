@@ -199,10 +199,10 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
         "first_finger_mm": round(1e3 * order * axes.length, 1),
     }
     first, last = axes.names[0], axes.names[-1]
-    text = f"thumb {figures['thumb_mm']:+.0f} mm" + (
+    text = f"thumb {figures['thumb_mm']:+.0f} mm from the other fingers" + (
         f", {first} {figures['first_finger_mm']:+.0f} mm from {last}" if order else ""
     )
-    text += f" to their positions on a {hand.spec.side} hand"
+    text += f", towards the thumb's side of a {hand.spec.side} hand"
     other = "left" if hand.spec.side == "right" else "right"
     check = partial(Check, "side", figures=figures)
     if (order < -_CLEAR and thumb_offset < _CLEAR) or (thumb_offset < -_CLEAR and order <= _CLEAR):

@@ -75,7 +75,7 @@ def summarise(
     if added:
         reporter.note(
             f"{summary['frames_answered']} frames in {seconds:.1f} s, commands at "
-            f"{summary['rate_hz']:.0f} Hz; from receiving a frame to sending its command p50 "
+            f"{summary['rate_hz']:.0f} Hz; delay from frame to command: p50 "
             f"{added['p50']:.2f} ms, p99 {added['p99']:.2f} ms; "
             f"{100 * summary['deadlines_missed_share']:.2f} % late"
         )
@@ -105,7 +105,7 @@ def summarise(
         if delay := sink.figures.get("feedback_delay_ms"):
             reporter.note(
                 f"{sink.label}: {sink.figures['rate_hz']:.0f} messages per second for each hand; "
-                f"delay from contact to message p50 {delay['p50']:.1f} ms, "
+                f"delay from contact to message: p50 {delay['p50']:.1f} ms, "
                 f"p99 {delay['p99']:.1f} ms"
             )
     plain: dict[str, Any] = json.loads(to_json(summary))
