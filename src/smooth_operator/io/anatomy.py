@@ -269,8 +269,7 @@ class HandCheck:
 def wrong_order(
     points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...], believed: bool = False
 ) -> Doubt | None:
-    """Returns the problem with the order of the points; None if nothing is wrong. If the order is
-    ``believed``, only checks that the points are not image landmarks."""
+    """Returns what is wrong with the order; if ``believed``, checks only for image landmarks."""
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
         if of_a_picture(points[:, list(stated)]):
             return OF_A_PICTURE

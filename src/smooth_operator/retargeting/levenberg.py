@@ -70,8 +70,7 @@ def newton_candidates(
 
 
 def best_of(costs: Float[Array, " c"]) -> tuple[Array, Array]:
-    """Returns the index of the lowest finite cost, and that cost, which is infinite if no cost is
-    finite."""
+    """Returns the index and value of the lowest finite cost; without one, the value is infinite."""
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
     winner = jnp.argmin(costs)
     return winner, costs[winner]
