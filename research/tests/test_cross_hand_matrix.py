@@ -264,11 +264,12 @@ def test_the_command_runs_a_matrix_and_fills_a_page(blocks, tmp_path, monkeypatc
     words = "cross-hand run --hands leap_hand,wuji_hand --tasks cube --workers 0 --quiet"
     assert main([*words.split(), "--results", "out/m.jsonl"]) == 0
     page = tmp_path / "page.md"
-    page.write_text("<!-- table: success-cube -->\nold\n<!-- end -->\ntext\n")
+    later = "<!-- table: scaled-means -->\nlater\n<!-- end -->\n"  # has no trials yet
+    page.write_text(f"<!-- table: success-cube -->\nold\n<!-- end -->\ntext\n{later}")
     report = "cross-hand report --results out/m.jsonl --docs page.md --plots plots"
     assert main(report.split()) == 0
     assert "| `leap_hand` | 1.00 [0.76, 1.00] | 0.00 [0.00, 0.24] |" in page.read_text()
-    assert page.read_text().endswith("<!-- end -->\ntext\n")
+    assert page.read_text().endswith(f"<!-- end -->\ntext\n{later}")
     assert (tmp_path / "plots" / "cross-hand.svg").stat().st_size > 1000
     assert main(["cross-hand", "report", "--results", "absent.jsonl"]) == 2
     assert "has no results yet" in capsys.readouterr().err

@@ -27,6 +27,7 @@ from smooth_operator_research.cross_hand.tables import SCALED_TABLES, TABLES, Ou
 from smooth_operator_research.paper.docs_tables import BLOCK, block, replaced
 
 PLOT = "cross-hand.svg"
+PICTURES = {".png": "PNG", ".webp": "WEBP"}
 
 
 def run(options: RunMatrix) -> None:
@@ -59,10 +60,13 @@ def report(options: ReportMatrix) -> None:
     """Prints the tables, or replaces them in a page."""
     results = _results(options)
     outcomes, scaled = Outcomes(results), Outcomes(results, scaled=True)
-    available = TABLES | (SCALED_TABLES if scaled.trials else {})
+    every = TABLES | SCALED_TABLES
     text = "" if options.docs is None else options.docs.read_text(encoding="utf-8")
-    for name in [match[1] for match in BLOCK.finditer(text)] if text else available:
-        content = block(name, available[name](scaled if name in SCALED_TABLES else outcomes))
+    for name in [match[1] for match in BLOCK.finditer(text)] if text else every:
+        own = scaled if name in SCALED_TABLES else outcomes
+        if not own.trials:
+            continue
+        content = block(name, every[name](own))
         if options.docs is None:
             print(content, end="\n\n")
         text = replaced(text, name, content)
@@ -86,9 +90,11 @@ def _results(options: ReportMatrix) -> MatrixResults:
 
 def strip(options: DrawStrip) -> None:
     """Draws the trials."""
+    if (kind := options.output.suffix.lower()) not in PICTURES:
+        raise ConfigError(f"--output must end in {' or '.join(PICTURES)}, not {kind!r}")
     start_jax()
     picture = draw_strip(
         options.task, comma_words(options.hands), options.method, options.world, options.pictures
     )
     with atomic_write(options.output) as file:
-        picture.save(file, "PNG", optimize=True)
+        picture.save(file, PICTURES[kind])

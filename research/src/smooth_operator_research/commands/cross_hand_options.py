@@ -117,8 +117,8 @@ Example:
     pictures: int = 6
     """Number of pictures in a row, at equal intervals from start to end of the trial."""
 
-    output: Annotated[Path, arg(metavar="PNG")]
-    """File to write."""
+    output: Annotated[Path, arg(metavar="FILE")]
+    """File to write, .png or .webp."""
 
 
 Subcommand: TypeAlias = (
