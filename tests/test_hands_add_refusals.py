@@ -141,7 +141,7 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "a tip on another finger": (
         "h.urdf",
         TEXT,
-        r"must be fixed to that finger's last link: ",
+        r"choose a body that is fixed to that finger's last link: ",
     ),
     "a ball joint": (
         "h.xml",
@@ -282,7 +282,7 @@ def test_joints_without_couplings_are_a_note(run, tmp_path):
     for model, noted in ((make_hand(3), True), (make_hand(5, coupled=True), False)):
         (tmp_path / "h.urdf").write_text(urdf(model.parts))
         status, out, _ = run("h.urdf", "--name", "motors", "--overwrite")
-        assert (status, "check how many motors the maker states" in out) == (0, noted)
+        assert (status, "check how many motors the maker specifies" in out) == (0, noted)
 
 
 def test_a_joint_that_follows_another_finger_is_a_note(run, tmp_path):

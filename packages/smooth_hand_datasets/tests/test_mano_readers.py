@@ -136,8 +136,8 @@ def test_missing_parts_are_named(tmp_path, models):
             ("arctic", "", npy({"right": {}}), "it lacks left"),
             ("oakink2", "", pickled({"raw_smplx": {}}), "it lacks raw_mano"),
             ("taco", "right_hand.pkl", lone_hand, "it lacks hand_trans"),
-            ("grab", f"{meshes}/s1_lhand.ply", None, "extract tools/subject_meshes"),
-            ("hot3d", "metadata.json", b'{"headset": "Vision"}', "which axis is up"),
+            ("grab", f"{meshes}/s1_lhand.ply", None, "extract the data set's tools/subject_meshes"),
+            ("hot3d", "metadata.json", b'{"headset": "Vision"}', "which axis points up"),
         )
     ):
         made = layouts.WRITERS[layout](tmp_path / str(number))

@@ -110,7 +110,7 @@ def test_trackers_give_the_poses_of_their_roles(runtime):
 
     with started("openxr:rate=500,track=trackers,left=handheld_object") as (source, mailbox):
         runtime.change_state(READY)
-        until(lambda: "no tracker with the role" in source.health().detail)
+        until(lambda: "does not track any tracker with the role" in source.health().detail)
         show("right_wrist", 15, POSES["right"])
         show("handheld_object", 3, POSES["left"])  # valid, but a guess
         until(lambda: mailbox.received == 1)
