@@ -367,7 +367,7 @@ def test_a_trial_from_begin_to_record(stage):
     begun = stage.do("trial", begin=True, about={"participant": "P07", "trial": 3})
     assert (begun["phase"], begun["number"], begun["resets"]) == ("running", 1, 0)
     stage.refused("running", "trial", begin=True)
-    stage.refused("together", "trial", begin=True, finish=True)
+    stage.refused("at the same time", "trial", begin=True, finish=True)
     until(lambda: stage.do("trial")["elapsed_s"] > 0.2)
     assert stage.do("reset")["resets"] == 1
     stage.refused("one reset", "reset")
@@ -457,7 +457,7 @@ def test_a_teleoperation_may_end_and_be_started_again():
 
 @pytest.mark.parametrize("answer", [b"hello", b"[1]", b"\xff"])
 def test_something_else_that_answers_is_no_teleoperation(answer):
-    with answering(answer) as address, pytest.raises(RemoteError, match="is not a teleoperation"):
+    with answering(answer) as address, pytest.raises(RemoteError, match="is not a running teleop"):
         RemoteTeleop(address, 5.0).request("status")
 
 

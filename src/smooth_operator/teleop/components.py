@@ -165,10 +165,7 @@ _SOURCES: Final = "smooth_operator.teleop.sources"
 _ROS2: Final = "needs no ROS 2 installation"
 _DEVICE_SOURCES: Final = {
     "angles": ("gloves that report joint angles: angles:deg, angles:rad", ""),
-    "bvh": (
-        "motion capture that sends BVH over UDP; FILE is a BVH file with its skeleton: bvh:FILE",
-        "",
-    ),
+    "bvh": ("motion capture that sends BVH over UDP; FILE gives its skeleton: bvh:FILE", ""),
     "isaac": ("hands from any Isaac Teleop device", "isaac"),
     "oak": ("a Luxonis OAK-D depth camera, tracked by MediaPipe", "oak"),
     "openxr": ("hands from this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),

@@ -126,7 +126,7 @@ class RemoteTeleop:
         content = json_object(answer)
         if content is None:
             raise RemoteError(
-                f"the program at {self.address} is not a teleoperation; it answered "
+                f"the program at {self.address} is not a running teleop; it answered "
                 f"{answer[:60].decode(errors='replace')!r}"
             )
         return content
