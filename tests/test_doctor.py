@@ -15,7 +15,7 @@ def test_the_machine_and_the_advice(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
     assert main(["doctor"]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "SMOOTH_OPERATOR_CACHE is off, so every start compiles again" in text
+    assert "SMOOTH_OPERATOR_CACHE is off, so every start compiles them again" in text
 
 
 def test_two_opencvs_in_one_folder_are_named(capsys, monkeypatch):

@@ -129,7 +129,7 @@ def packed_log(path: Path, compression: str) -> Path:
 def test_small_files_take_little_memory(tmp_path, reader, name, make):
     verdict = reader(name, make(tmp_path))
     assert verdict.outcome == "refused", verdict
-    assert "allowed for a file" in verdict.detail
+    assert "for a file of this size" in verdict.detail
     assert verdict.megabytes < 200
 
 

@@ -125,7 +125,7 @@ def test_unwritable_results(tmp_path):
     ):
         with pytest.raises(RecordingError, match=said):
             write_commands(tmp_path / "a.npz", replace(trajectory(), **change), {})
-    with pytest.raises(OutputError, match=r"must end in .npz, as out.npz"):
+    with pytest.raises(OutputError, match=r"must end in .npz, for example out.npz"):
         write_commands(tmp_path / "out", trajectory(), {})
     with pytest.raises(OutputError, match="does not exist; create it first"):
         write_commands(tmp_path / "no" / "a.npz", trajectory(), {})

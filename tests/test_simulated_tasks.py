@@ -587,7 +587,7 @@ def test_a_session_in_the_running_simulation(tmp_path):
     hand = load_hand("mimic_p050")
     sim = build_sink("mujoco:task=screwdriver")
     assert sim.scene_state("right") is None
-    with pytest.raises(SinkError, match="not open"):
+    with pytest.raises(SinkError, match="no task scene is loaded"):
         sim.scene_of("right")
     sim.open({"right": hand}, {})
     said: list[str] = []
