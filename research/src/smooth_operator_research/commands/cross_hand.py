@@ -60,13 +60,13 @@ def report(options: ReportMatrix) -> None:
     """Prints the tables, or replaces them in a page."""
     results = _results(options)
     outcomes, scaled = Outcomes(results), Outcomes(results, scaled=True)
-    every = TABLES | SCALED_TABLES
+    tables = TABLES | SCALED_TABLES
     text = "" if options.docs is None else options.docs.read_text(encoding="utf-8")
-    for name in [match[1] for match in BLOCK.finditer(text)] if text else every:
-        own = scaled if name in SCALED_TABLES else outcomes
-        if not own.trials:
+    for name in [match[1] for match in BLOCK.finditer(text)] if text else tables:
+        selected = scaled if name in SCALED_TABLES else outcomes
+        if not selected.trials:
             continue
-        content = block(name, every[name](own))
+        content = block(name, tables[name](selected))
         if options.docs is None:
             print(content, end="\n\n")
         text = replaced(text, name, content)
