@@ -357,7 +357,9 @@ def part_distances(hand: Hand, body: int, point: Float[np.ndarray, "3"]) -> dict
 def _distance(model: mujoco.MjModel, geom: int, p: np.ndarray) -> float | None:
     """Signed distance of a point in the shape's own frame; None for shapes without a volume."""
     kind, size = int(model.geom_type[geom]), np.asarray(model.geom_size[geom], float)
-    if kind in (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE):  # a sphere's half length is 0
+    if kind == _G.mjGEOM_SPHERE:  # MuJoCo keeps sizes of a sphere that it does not use
+        return float(np.linalg.norm(p) - size[0])
+    if kind == _G.mjGEOM_CAPSULE:
         axis = np.array([0.0, 0.0, np.clip(p[2], -size[1], size[1])])
         return float(np.linalg.norm(p - axis) - size[0])
     if kind == _G.mjGEOM_CYLINDER:
