@@ -52,7 +52,7 @@ def list_hardware(options: List) -> None:
             kind = entry.load()
         except SmoothOperatorError:
             continue  # A plugin may be broken, or need an extra to be loaded.
-        if getattr(kind, "moves_real_hand", False):
+        if isinstance(kind, type) and issubclass(kind, HardwareSink):
             drivers[name] = entry.summary
     tables, broken = [], []
     for path in list_tables():
