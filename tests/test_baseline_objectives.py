@@ -6,6 +6,7 @@ from typing import TypeAlias
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from smooth_operator import LANDMARKS, Hand, Retargeter
 
@@ -119,8 +120,12 @@ def test_the_answer_minimises_the_methods_own_cost(hand, method, expected):
         state, result = retargeter.step(state, human)
         q = result.command.joint_positions[columns].astype(float)
     cost = expected(hand, human, previous)
-    # The weights of dexpilot and ako are up to 400, and their solvers stop by the cost.
-    assert steepest(cost, q, hand.limits) < (2e-5 if method in ("keyvector", "hybrid") else 4e-2)
+    # The weights of dexpilot are up to 400, and its solver stops by the cost, wherever the rounding
+    # of the processor lets it.
+    slope = {"dexpilot": 4e-2, "ako": 2e-3}.get(method, 2e-5)
+    assert steepest(cost, q, hand.limits) < slope
+    least = minimize(cost, q, method="L-BFGS-B", bounds=hand.limits).fun
+    assert cost(q) == pytest.approx(least, rel=3e-5)
     pulls = {"dexpilot": 2.5e-3 * (q**2).sum(), "ako": smooth_l1(0.1 * (q - previous)).sum()}
     # of the vectors alone, without the pull
     assert result.tracking_loss == pytest.approx(cost(q) - pulls.get(method, 0.0), rel=1e-3)
