@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.fingertip_filter import (
     FilterState,
     FingertipFilterConfig,
@@ -123,9 +122,3 @@ def test_after_a_gap_points_are_taken_as_they_are_and_the_shake_stays():
     assert float(after.shake) == float(last.shake)
     still, *_ = filter_fingertips(after, elsewhere, CONFIG, clock)
     np.testing.assert_array_equal(still.points, elsewhere)
-
-
-@pytest.mark.parametrize("name", ["share", "reach", "settle", "jump", "jump_speed"])
-def test_settings_are_checked(name):
-    with pytest.raises(ConfigError, match=f"fingertips.{name}"):
-        FingertipFilterConfig(**{name: -1.0})

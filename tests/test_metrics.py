@@ -12,7 +12,6 @@ from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.metrics.safety import workspace_utilisation
-from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.types import Status
 
 
@@ -35,13 +34,6 @@ def test_a_scaled_and_turned_copy_shows_its_scale_and_its_angle():
     for name in ("cosine_similarity", "cosine_similarity_all", "motion_preservation"):
         assert result[name] == pytest.approx(math.cos(0.4), abs=1e-12), name
     assert result["scale_ratio"] == pytest.approx(0.7, abs=1e-12)
-
-
-def test_keyvectors_are_wrist_then_thumb_then_the_rest():
-    tips = np.array([[[1.0, 0, 0], [0, 2, 0], [0, 0, 3]]])
-    vectors = keyvectors(tips, np.array([[0.0, 0, 1]]))[0]
-    expected = [[1, 0, -1], [0, 2, -1], [0, 0, 2], [-1, 2, 0], [-1, 0, 3], [0, -2, 3]]
-    np.testing.assert_array_equal(vectors, expected)
 
 
 def test_pinches_touch_by_their_surfaces():

@@ -4,10 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import lsq_linear
 from trees import float64
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 
 
@@ -37,24 +36,6 @@ def test_a_convex_quadratic_within_bounds(seed):
     found = solve(lambda q: ((matrix @ q - goal) ** 2).sum(), limits.mean(axis=1), limits)
     assert 0 < (reference.active_mask != 0).sum() < 6  # some limits bind, some do not
     np.testing.assert_allclose(found, reference.x, atol=1e-7)
-
-
-def rosenbrock(q):
-    return (100 * (q[1:] - q[:-1] ** 2) ** 2 + (1 - q[:-1]) ** 2).sum()
-
-
-def test_a_curved_valley_equals_l_bfgs_b():
-    limits = np.array([[-1.5, 0.8], [-1.0, 2.0], [-1.0, 2.0]])
-    found = solve(rosenbrock, np.array([-1.2, 1.0, 0.5]), limits, NewtonConfig(iterations=100))
-    reference = minimize(
-        rosenbrock,
-        [0.5, 0.5, 0.5],
-        bounds=limits,
-        method="L-BFGS-B",
-        options={"ftol": 1e-15, "gtol": 1e-12},
-    )
-    assert found[0] == 0.8
-    np.testing.assert_allclose(found, reference.x, atol=1e-5)
 
 
 def wavy(q):
@@ -89,9 +70,3 @@ def test_a_start_from_which_no_step_descends_is_kept():
     np.testing.assert_array_equal(found, start)
     found = solve(lambda q: jnp.nan * q.sum(), start, limits)
     np.testing.assert_array_equal(found, start)
-
-
-@pytest.mark.parametrize("bad", [{"iterations": -1}, {"damping": ()}, {"damping": (-1.0, 0.0)}])
-def test_settings_are_checked(bad):
-    with pytest.raises(ConfigError, match=next(iter(bad))):
-        NewtonConfig(**bad)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.sbr.random_numbers import (
     counter_normal_matrix,
     counter_normals,
@@ -32,24 +31,6 @@ def bowl(centre, stiffness=1.0):
 def minimise(cost, start, limits, config=SMALL, key=KEY) -> np.ndarray:
     run = jax.jit(lambda s, k: sample_minimise(cost, s, np.asarray(limits, float), k, config))
     return np.asarray(run(jnp.asarray(start, jnp.float32), jnp.asarray(key)))
-
-
-@pytest.mark.parametrize("draws", ["fresh", "quasi"])
-def test_a_minimum_inside_the_bounds(draws):
-    centre = [0.3, -0.2, 0.45, 0.1]
-    found = minimise(
-        bowl(centre, [1, 2, 0.7, 3]), [0, 0, 0, 0], [[-1, 1]] * 4, replace(SMALL, draws=draws)
-    )
-    np.testing.assert_allclose(found, centre, atol=1e-3)
-
-
-def test_minima_beyond_the_bounds_end_at_them():
-    limits = np.array([[-0.5, 0.2], [-0.1, 0.6], [-1.0, 1.0]])
-    found = minimise(bowl([3.0, -3.0, 0.25], 5.0), [0, 0, 0], limits)
-    # a mean of candidates that are clipped to the limit is on it, to rounding
-    np.testing.assert_allclose(found, [0.2, -0.1, 0.25], atol=2e-3)
-    assert (found >= limits[:, 0].astype(np.float32)).all()
-    assert (found <= limits[:, 1].astype(np.float32)).all()
 
 
 def test_one_cycle_returns_the_start_within_the_limits():
@@ -113,31 +94,6 @@ def test_it_is_algorithm_1_to_the_letter(draws):
     np.testing.assert_allclose(found, expected, atol=2e-5)
     assert found[0] < 0.25  # clipped candidates took part in the mean
     assert np.linalg.norm(expected - start) > 0.1
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"samples": 0}, "samples must be"),
-        ({"elites": 0}, "elites must be"),
-        ({"samples": 10, "elites": 11}, "elites=11"),
-        ({"cycles": 0}, "cycles must be"),
-        ({"sigma": 0.0}, "sigma must be"),
-        ({"temperature": -1.0}, "temperature must be"),
-        ({"jitter": 0.0}, "jitter must be"),
-        ({"draws": "halton"}, "draws must be"),
-    ],
-)
-def test_settings_are_checked(bad, message):
-    with pytest.raises(ConfigError, match=message):
-        SamplingConfig(**bad)
-
-
-def test_the_defaults_are_the_papers_table():
-    config = SamplingConfig()
-    assert (config.samples, config.elites, config.cycles) == (8192, 128, 20)
-    assert (config.sigma, config.temperature, config.jitter) == (0.2, 0.1, 1e-6)
-    assert config.draws == "fresh"
 
 
 COLUMNS = 8

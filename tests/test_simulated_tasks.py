@@ -491,32 +491,6 @@ def test_the_fixture_holds_until_thumb_and_two_fingers_do():
     assert physics.observe().fixed
 
 
-def test_parts_say_what_there_is_to_draw():
-    parts = physics_of("screwdriver").parts()
-    assert {part.name for part in parts if part.moves} == {"handle", "shaft"}
-    (table,) = [part for part in physics_of("card").parts() if not part.moves]
-    assert table.kind == "box"
-    scene = physics_of("card").scene
-    assert table.position[0] - table.size[0] == pytest.approx(scene.edge)
-    assert table.position[2] + table.size[2] == pytest.approx(scene.top)
-
-
-@pytest.mark.parametrize(("name", "side"), [("mimic_p050", "left"), ("shadow_hand", "right")])
-def test_the_object_can_be_drawn_in_the_palm_frame(name, side):
-    hand = load_hand(name, side)
-    physics = ScenePhysics(hand, scene_for("screwdriver", hand))
-    state = physics.observe()
-    position, quaternion = physics.scene.mount.in_palm(state.position, state.quaternion)
-    palm = physics.data.body(f"hand/{hand.spec.palm}")
-    turn = palm.xmat.reshape(3, 3)
-    np.testing.assert_allclose(position, turn.T @ (state.position - palm.xpos), atol=1e-9)
-    blade = np.zeros(3)
-    mujoco.mju_rotVecQuat(blade, np.array([0.0, 0.0, 1.0]), quaternion)
-    along = physics.data.body("object").xmat.reshape(3, 3)[:, 2]
-    np.testing.assert_allclose(blade, turn.T @ along, atol=1e-9)
-    assert 0.03 < np.linalg.norm(position - hand.wrist) < 0.25  # within the hand's reach
-
-
 def softer(physics: ScenePhysics) -> None:
     """The object 1 mm off, and 5 % more slippery."""
     joint = physics.model.joint("object")

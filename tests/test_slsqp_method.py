@@ -83,18 +83,6 @@ def test_ako_refuses_a_hand_without_last_joints(hand):
     Retargeter(poor, method="dexpilot")  # asks for tips only
 
 
-def test_round_trip_brings_the_tips_to_the_robots_own(hand, retargeter):
-    q = hand.neutral + 0.25 * (hand.limits[:, 1] - hand.neutral)
-    state = retargeter.init()
-    frame = posed(hand, 0.25)
-    for _ in range(15):  # AKO's velocity term lets it come no faster
-        state, result = retargeter.step(state, frame)
-    tips = hand.tips(result.command.joint_positions)
-    error = np.linalg.norm(tips - hand.tips(hand.full_configuration(q)), axis=1)
-    assert result.status == Status.OK
-    assert error.max() < 0.008, error
-
-
 def test_commands_stay_within_limits_and_bad_frames_hold(hand, retargeter):
     recording = SyntheticOperator(seed=4, rate_hz=30.0).record(2.0)
     landmarks = recording.landmarks.copy()
@@ -111,15 +99,6 @@ def test_commands_stay_within_limits_and_bad_frames_hold(hand, retargeter):
             held.append(i)
             assert state.words is before.words  # nothing of the frame is remembered
     assert held == [10, 11, 12, 20]
-
-
-def test_the_same_frames_give_the_same_commands(retargeter):
-    recording = SyntheticOperator(seed=1, rate_hz=30.0).record(1.0)
-    runs = []
-    for _ in range(2):
-        retargeter.reset()
-        runs.append([retargeter(frame).command.joint_positions for frame in recording])
-    np.testing.assert_array_equal(runs[0], runs[1])
 
 
 def test_dexpilots_latch_lives_in_the_state_and_resets(hand):
@@ -197,9 +176,3 @@ def test_a_search_stays_within_its_limits_and_its_iterations():
     np.testing.assert_allclose(many.x, [0.5, 0.25], atol=1e-4)
     lost = slsqp_minimise(lambda x: np.full(3, np.nan), start, limits, SlsqpConfig())
     assert np.isnan(lost.value)
-
-
-@pytest.mark.parametrize("changes", [{"tolerance": 0.0}, {"max_iterations": 0}])
-def test_a_bad_configuration_is_refused(changes):
-    with pytest.raises(ConfigError, match=f"{next(iter(changes))} must be positive"):
-        SlsqpConfig(**changes)
