@@ -205,7 +205,7 @@ def test_xhand_reports_torques_heat_touch_and_errors(rigs):
     hand.motors.stuck.add(5)
     hand.motors.temperatures[3] = 0x0141  # the low byte is the temperature
     hand.joint_errors[4] = 2
-    hand.touch[1, :, 2] = 1
+    hand.forces[1, 2] = 120
     device.write(np.full(12, 0.5))
     reading = device.read()
     assert reading.currents[5] == 800

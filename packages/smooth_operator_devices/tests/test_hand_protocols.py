@@ -134,7 +134,7 @@ def test_aero_reads_currents_and_temperatures(rigs):
 def test_aero_that_homes_or_has_other_settings_is_refused(rigs, monkeypatch):
     monkeypatch.setattr(aero, "_PROBE", 0.01)
     rig = rigs("aero")
-    rig.hand._homed_at = rig.hand._clock() + 60
+    rig.hand.homing = True
     with pytest.raises(SinkError, match=r"does not answer; check .* that it is not homing"):
         rig.open()
     with pytest.raises(ConfigError, match="torque must be a whole number from 1 to 1000"):

@@ -7,25 +7,11 @@ import time
 
 import numpy as np
 import pytest
-from simulators.common import ManualClock, Motors, SerialLine
+from simulators.common import ManualClock, SerialLine
 
 
 def _hex(text: str) -> bytes:
     return bytes.fromhex(text)
-
-
-def test_motors_follow_their_targets_at_a_limited_speed():
-    clock = ManualClock()
-    motors = Motors([0.0, 0.0, 0.0], 10.0, clock=clock)
-    motors.stuck.add(1)
-    motors.set_power(False, [2])
-    motors.move([5.0, 5.0, 5.0])
-    clock.advance(0.2)
-    assert np.allclose(motors.positions, [2.0, 0.0, 0.0])
-    assert motors.currents.tolist() == [150.0, 800.0, 0.0]
-    assert motors.velocities.tolist() == [10.0, 0.0, 0.0]
-    clock.advance(10)
-    assert np.allclose(motors.positions, [5.0, 0.0, 0.0])
 
 
 # --- Feetech: examples of the maker's "Communication Protocol User Manual" 191218-0923
@@ -46,18 +32,6 @@ def _bus(*places: int) -> FeetechBus:
         ([2048], ["FF FF 01 02 01 FB"], ["FF FF 01 02 00 FC"], [2048]),
         ([1304], ["FF FF 01 04 02 38 02 BE"], ["FF FF 01 04 00 18 05 DD"], [1304]),
         ([48], ["FF FF 01 09 03", "2A 00 08 00 00 E8 03 D5"], ["", "FF FF 01 02 00 FC"], [2048]),
-        (  # a registered write waits for the action
-            [48],
-            ["FF FF 01 09 04 2A 00 08 00 00 E8 03 D4"],
-            ["FF FF 01 02 00 FC"],
-            [48],
-        ),
-        (
-            [48],
-            ["FF FF 01 09 04 2A 00 08 00 00 E8 03 D4", "FF FF FE 02 05 FA"],
-            ["FF FF 01 02 00 FC", ""],
-            [2048],
-        ),
         (
             [0] * 4,
             [
@@ -135,7 +109,6 @@ def test_aero_hand_answers_what_its_firmware_answers():
     assert ask("31 00 03 00 FF FF" + zeros) == "31 00 03 00 fe 7f" + zeros  # 32766
     assert ask("32 00 06 00 FF FF" + zeros) == "32 00 06 00 ff 03" + zeros  # 1023
     assert ask("32 00 07 00 01 00" + zeros) == "32 00 ff ff 00 00" + zeros
-    assert ask("03 00 00 00 0A 00" + zeros) == "03 00 00 00 ff 03" + zeros  # 910 + 113
     assert ask("25 00" + " 00 00" * 7) == "25 00" + " 1e 00" * 7
     assert ask("21 00" + " 00 00" * 7) == ""
     assert ask("11 00" + " FF FF" * 7) == ""
@@ -149,7 +122,7 @@ def test_aero_hand_works_with_the_package_of_its_maker():
         "aero_open_sdk.aero_hand", reason="the maker's package aero-open-sdk is not installed"
     )
     pytest.importorskip("termios", reason="this platform has no pseudo terminals")
-    hand = AeroHand("right", homing_time=0.2)
+    hand = AeroHand("right")
     with SerialLine(hand) as line:
         host = sdk.AeroHand(line.port)
         host.ser.timeout = 2  # 10 ms are too few for a busy machine
@@ -158,8 +131,6 @@ def test_aero_hand_works_with_the_package_of_its_maker():
         time.sleep(1.0)
         assert host.get_joint_positions_compact() == pytest.approx([10.0] * 7, abs=0.05)
         assert host.get_actuator_temperatures() == [30.0] * 7
-        assert host.send_homing(5)
-        assert host.get_actuations() == pytest.approx([0, 0, -15.2789, 0, 0, 0, 0])
         host.close()
 
 
@@ -185,17 +156,13 @@ def test_rohand_reads_defaults_and_follows_a_target():
     answer = _rtu(hand, 2, 3, 0x04, 0x47, 0, 6)  # 1095: current limits
     assert answer[:-2] == bytes([2, 3, 12]) + (1178).to_bytes(2, "big") * 6
     assert crc(answer[:-2]) == answer[-2:]
-    echo = _rtu(hand, 2, 6, 0x04, 0x70, 0xFF, 0xFF)  # 1136: index
-    assert echo[:-2] == bytes([2, 6, 0x04, 0x70, 0xFF, 0xFF])
-    clock.advance(0.5)
-    assert hand.read(1086, 1) == [1]
-    assert hand.read(1146, 1) == [32768]
-    clock.advance(1)
-    assert hand.read(1085, 2) == [2, 2]
-    assert hand.read(1166, 1) == [10022]
-    many = _rtu(hand, 2, 16, 0x04, 0x6F, 0, 2, 4, 0, 10, 1, 2)  # 1135, two registers
+    many = _rtu(hand, 2, 16, 0x04, 0x6F, 0, 2, 4, 0, 10, 0xFF, 0xFF)  # 1135, two registers
     assert many[:-2] == bytes([2, 16, 0x04, 0x6F, 0, 2])
-    assert hand.motors.targets[:2].tolist() == [10, 258]
+    clock.advance(0.5)
+    assert hand.read(1085, 2) == [2, 1]
+    assert hand.read(1145, 2) == [10, 32768]
+    clock.advance(1)
+    assert hand.read(1086, 1) == [2]
 
 
 # --- Inspire with touch: manual RH56DFTP R1, and Unitree's inspire_hand_sdk
@@ -223,9 +190,6 @@ def test_inspire_reads_and_writes_as_the_manual_frames_them():
     clock.advance(1)
     read = hand.receive(_hex("00 08 00 00 00 06 FF 03 06 0A 00 06"))
     assert read == _hex("00 08 00 00 00 0F FF 03 0C 00 64 00 64 00 64 00 64 03 E8 00 00")
-    assert hand.receive(_hex("00 09 00 00 00 06 FF 06 05 D4 02 58"))[7:] == _hex("06 05 D4 02 58")
-    clock.advance(0.3)  # from 100 to 600 at 1000 in 0.6 s
-    assert hand.motors.positions[3] == 600
 
 
 def test_inspire_touch_cells_run_by_rows_and_the_palm_by_columns():
@@ -269,8 +233,8 @@ def test_dex3_types_have_the_names_and_fields_of_the_maker(dex3):
 
 # --- Stand-ins of makers' Python packages
 
-from simulators import revo3_sdk, wuji_sdk, xhand_sdk  # noqa: E402
-from simulators.sdk import installed, stub_methods  # noqa: E402
+from simulators import revo3_sdk, wuji_sdk  # noqa: E402
+from simulators.sdk import stub_methods  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -296,23 +260,3 @@ def test_stand_ins_have_the_calls_of_the_package_that_is_installed(package, file
                 assert parameters == real, f"{name}.{method}"
                 compared += 1
     assert compared > 8
-
-
-def test_xhand_commands_have_the_fields_and_widths_of_the_binding():
-    hand = xhand_sdk.XHand("right", identifier=1)
-    with installed(xhand_sdk.xhand_modules(hand)):
-        from xhand_controller import xhand_control
-
-        device, command = xhand_control.XHandControl(), xhand_control.HandCommand_t()
-        assert device.send_command(1, command).error_code == 1501038  # not opened
-        assert device.open_serial("/dev/ttyUSB0", 3_000_000).error_code == 0
-        finger = command.finger_command[0]
-        finger.kp, finger.tor_max = 100, 300
-        for name, value in (("kp", 100.0), ("tor_max", -1)):
-            with pytest.raises(TypeError):
-                setattr(finger, name, value)
-        command.finger_command[0] = xhand_control.FingerCommand_t()  # of a copy of the list
-        assert command.finger_command[0].kp == 100
-        assert device.send_command(1, command).error_code == 0
-        assert device.send_command(2, command).error_code == 1501037
-        assert len(device.read_state(1)[1].sensor_data[0].raw_force) == 120

@@ -10,20 +10,22 @@ from typing import Any, Final, TypeAlias, TypeVar
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import float32, float64, int32, sequence, uint32
+from cyclonedds.idl.types import float32, float64, int16, int32, sequence, uint8, uint32
 
 Message: TypeAlias = IdlStruct
 """A message of ROS 2."""
 
 M = TypeVar("M", bound=Message)
 
-_DEFAULTS: Final = {int32: 0, uint32: 0, float32: 0.0, float64: 0.0, str: ""}
+_DEFAULTS: Final = {uint8: 0, int16: 0, int32: 0, uint32: 0, float32: 0.0, float64: 0.0, str: ""}
 
 
-def _message(package: str, name: str, /, **fields: Any) -> Any:
+def message_class(package: str, name: str, /, **fields: Any) -> Any:
     """Makes the class of a message, a dataclass with a default for each field.
 
     Args:
+        package: ROS 2 package that defines the message.
+        name: name of the message.
         fields: name -> type, in the order of the definition; or type and default.
     """
 
@@ -47,29 +49,29 @@ def type_name(kind: type[Message]) -> str:
     return name.replace(".msg.dds_.", "/msg/").removesuffix("_")
 
 
-Time = _message("builtin_interfaces", "Time", sec=int32, nanosec=uint32)
-Duration = _message("builtin_interfaces", "Duration", sec=int32, nanosec=uint32)
-Header = _message("std_msgs", "Header", stamp=Time, frame_id=str)
-String = _message("std_msgs", "String", data=str)
-MultiArrayDimension = _message(
+Time = message_class("builtin_interfaces", "Time", sec=int32, nanosec=uint32)
+Duration = message_class("builtin_interfaces", "Duration", sec=int32, nanosec=uint32)
+Header = message_class("std_msgs", "Header", stamp=Time, frame_id=str)
+String = message_class("std_msgs", "String", data=str)
+MultiArrayDimension = message_class(
     "std_msgs", "MultiArrayDimension", label=str, size=uint32, stride=uint32
 )
-MultiArrayLayout = _message(
+MultiArrayLayout = message_class(
     "std_msgs", "MultiArrayLayout", dim=sequence[MultiArrayDimension], data_offset=uint32
 )
-Float64MultiArray = _message(
+Float64MultiArray = message_class(
     "std_msgs", "Float64MultiArray", layout=MultiArrayLayout, data=sequence[float64]
 )
-Point = _message("geometry_msgs", "Point", x=float64, y=float64, z=float64)
-Quaternion = _message(
+Point = message_class("geometry_msgs", "Point", x=float64, y=float64, z=float64)
+Quaternion = message_class(
     "geometry_msgs", "Quaternion", x=float64, y=float64, z=float64, w=(float64, 1.0)
 )
-Pose = _message("geometry_msgs", "Pose", position=Point, orientation=Quaternion)
-PoseStamped = _message("geometry_msgs", "PoseStamped", header=Header, pose=Pose)
-PoseArray = _message("geometry_msgs", "PoseArray", header=Header, poses=sequence[Pose])
+Pose = message_class("geometry_msgs", "Pose", position=Point, orientation=Quaternion)
+PoseStamped = message_class("geometry_msgs", "PoseStamped", header=Header, pose=Pose)
+PoseArray = message_class("geometry_msgs", "PoseArray", header=Header, poses=sequence[Pose])
 
 _NUMBERS: Final = sequence[float64]
-JointState = _message(
+JointState = message_class(
     "sensor_msgs",
     "JointState",
     header=Header,
@@ -78,7 +80,7 @@ JointState = _message(
     velocity=_NUMBERS,
     effort=_NUMBERS,
 )
-JointTrajectoryPoint = _message(
+JointTrajectoryPoint = message_class(
     "trajectory_msgs",
     "JointTrajectoryPoint",
     positions=_NUMBERS,
@@ -87,14 +89,14 @@ JointTrajectoryPoint = _message(
     effort=_NUMBERS,
     time_from_start=Duration,
 )
-JointTrajectory = _message(
+JointTrajectory = message_class(
     "trajectory_msgs",
     "JointTrajectory",
     header=Header,
     joint_names=sequence[str],
     points=sequence[JointTrajectoryPoint],
 )
-ManusRawNode = _message(
+ManusRawNode = message_class(
     "manus_ros2_msgs",
     "ManusRawNode",
     node_id=int32,
@@ -103,8 +105,8 @@ ManusRawNode = _message(
     chain_type=str,
     pose=Pose,
 )
-ManusErgonomics = _message("manus_ros2_msgs", "ManusErgonomics", type=str, value=float32)
-ManusGlove = _message(
+ManusErgonomics = message_class("manus_ros2_msgs", "ManusErgonomics", type=str, value=float32)
+ManusGlove = message_class(
     "manus_ros2_msgs",
     "ManusGlove",
     glove_id=int32,

@@ -4,18 +4,17 @@ Sources, by the maker (TetherIA):
 
 - github.com/TetherIA/aero-open-firmware, commit d7bd82e8 (2025-10-27), `main/firmware_v0.1.0.ino`
   and `main/Homing.cpp`: what the hand does with each frame, its answers, its defaults at power on,
-  the text it prints then, and its positions, which it reads every 10 ms.
+  and the text it prints then.
 - `aero-open-sdk` 0.1.0.dev1 (package index), `aero_open_sdk/aero_hand.py` and
-  `aero_hand_constants.py`: units, ranges of the seven actuators, time for homing (175 s).
+  `aero_hand_constants.py`: units, ranges of the seven actuators.
 
 Facts: 921600 baud. A frame is an operation, 0, and seven words, low byte first. Order: thumb
 abduction, thumb flexion, thumb tendon, index, middle, ring, pinky. Positions are 0 to 65535 over
-each actuator's range (0 = extended). Answered are 0x01 (homing, when it is done, with zeros), 0x02,
-0x03 (trim: actuator, extended count), 0x22 positions, 0x23 speeds (0.732 rpm), 0x24 currents
-(6.5 mA), 0x25 temperatures (°C), 0x31 and 0x32 (actuator, value that holds). 0x31 and 0x32 of an
-actuator that does not exist answer FF FF 00 00. Speed is clamped to 32766, torque to 1023. Commands
-0x11 and 0x12 are not answered, unknown operations are consumed. The hand counts bytes: a frame that
-lost a byte shifts all that follow. If one servo does not answer, all values stay as they were.
+each actuator's range (0 = extended). Answered are 0x22 positions, 0x24 currents (6.5 mA), 0x25
+temperatures (°C), 0x31 and 0x32 (actuator, value that holds). 0x31 and 0x32 of an actuator that
+does not exist answer FF FF 00 00. Speed is clamped to 32766, torque to 1023. Commands 0x11 and 0x12
+are not answered, unknown operations are consumed. The hand counts bytes: a frame that lost a byte
+shifts all that follow.
 
 The SDK and the firmware differ: the SDK has 0x21 (all), which the firmware does not know; the
 torque limit reaches 1000 in the SDK and 1023 in the firmware. After power on the hand prints text
@@ -24,6 +23,7 @@ on the same line, and its length is no multiple of 16 bytes.
 Not found: what the hand does with bytes that arrive while it homes (the firmware intends to drop
 them, and so does this), how fast an actuator turns at the default speed (here its whole range in
 half a second), and where torque control (0x12) goes (here to the closed end for a torque above 0).
+Only what the driver uses is here: no homing by command, trim or speeds.
 """
 
 from __future__ import annotations
@@ -35,16 +35,6 @@ import numpy as np
 
 from .common import Clock, Faults, Motors
 
-LOW = np.array([0.0, 0.0, -15.2789, 0.0, 0.0, 0.0, 0.0])  # degrees of the motors
-HIGH = np.array([100.0, 104.125, 247.15, 288.1603, 288.1603, 288.1603, 288.1603])
-_EXTENDED = {
-    "left": [3186, 2048, 0, 4095, 4095, 4095, 4095],
-    "right": [910, 2048, 4095, 0, 0, 0, 0],
-}
-_GRASPED = {
-    "left": [2048, 865, 2980, 817, 817, 817, 817],
-    "right": [2048, 3231, 1115, 3278, 3278, 3278, 3278],
-}
 _FULL_SPEED = 2 * 65535.0  # units per second at a speed of 32766
 
 
@@ -60,21 +50,17 @@ class AeroHand:
     with SerialLine(hand) as line: ...            # the driver opens `line.port`
     hand.faults.silent = True; line.unplug(); line.plug(); hand.reboot()
     hand.faults.answer_wrongly("short")           # or "operation"
-    hand.dead.add(3); hand.motors.stuck.add(4); hand.motors.temperatures[5] = 75
+    hand.homing = True                            # it is deaf
+    hand.motors.stuck.add(4); hand.motors.temperatures[5] = 75
     hand.motors.positions, hand.speeds, hand.torques    # state; positions 0 to 65535
     """
 
-    def __init__(
-        self, side: str, *, homing_time: float = 60.0, clock: Clock = time.monotonic
-    ) -> None:
+    def __init__(self, side: str, *, clock: Clock = time.monotonic) -> None:
         self.side = side
-        self.homing_time = homing_time
         self.faults = Faults("short", "operation")
-        self.dead: set[int] = set()  # servos that do not answer the hand's own controller
         self.motors = Motors(np.zeros(7), _FULL_SPEED, clock=clock)
         self.received: list[bytes] = []
-        self.extended = list(_EXTENDED[side])
-        self._clock = clock
+        self.homing = False
         self._unasked = b""
         self._start()
 
@@ -83,8 +69,6 @@ class AeroHand:
         self.torques = [1023] * 7
         self.torque_mode = False
         self._buffer = b""
-        self._homed_at: float | None = None
-        self._measured = np.zeros((4, 7), dtype=int)
         for actuator in range(7):
             self.motors.set_speed(actuator, _FULL_SPEED)
         self.motors.set_power(True)
@@ -99,28 +83,17 @@ class AeroHand:
     def boot_text(self) -> bytes:
         """What the hand prints at power on."""
         lines = [f"[BOOT] Hand Type: {self.side.upper()}_HAND", "", "[Init] Pinging servos..."]
-        lines += [f"  ID {i}: {'NO REPLY' if i in self.dead else 'OK'}" for i in range(7)]
-        directions = [
-            1 if grasped < extended else -1
-            for grasped, extended in zip(_GRASPED[self.side], _EXTENDED[self.side], strict=True)
-        ]
+        lines += [f"  ID {i}: OK" for i in range(7)]
         text = "\r\n".join(lines) + "\r\n"
-        text += "".join(f"Servo {i} dir={way}\n" for i, way in enumerate(directions))
+        way = 1 if self.side == "left" else -1
+        text += "".join(f"Servo {i} dir={-way if i == 2 else way}\n" for i in range(7))
         return text.encode()
 
-    @property
-    def homing(self) -> bool:
-        """Whether the hand homes now, and is deaf."""
-        return self._homed_at is not None and self._clock() < self._homed_at
-
     def poll(self) -> bytes:
-        """Bytes that the hand sends by itself: text at power on, and the end of homing."""
+        """Bytes that the hand sends by itself: text at power on."""
         if self.faults.silent:
             return b""
         sent, self._unasked = self._unasked, b""
-        if self._homed_at is not None and not self.homing:
-            self._homed_at = None
-            sent += frame(0x01)
         return sent
 
     def receive(self, data: bytes) -> bytes:
@@ -137,37 +110,23 @@ class AeroHand:
         return answers
 
     def _answer(self, operation: int, words: tuple[int, ...]) -> bytes:
-        if operation == 0x01:
-            self.motors.place(np.zeros(7))
-            self.extended = list(_EXTENDED[self.side])
-            self._homed_at = self._clock() + self.homing_time
-            return b""
+        motors = self.motors
         if operation == 0x11:
             self.torque_mode = False
-            self.motors.move(words)
-            return b""
-        if operation == 0x12:
+            motors.move(words)
+        elif operation == 0x12:
             self.torque_mode = True
-            ends = np.where(np.array(words) > 0, 65535, self.motors.positions)
-            self.motors.move(ends)
-            return b""
-        if operation == 0x03:
-            return self._trim(words[0], words[1])
-        if operation in (0x31, 0x32):
+            motors.move(np.where(np.array(words) > 0, 65535, motors.positions))
+        elif operation in (0x31, 0x32):
             return self._send(operation, *self._limit(operation, words[0], words[1]))
-        if 0x22 <= operation <= 0x25:
-            self._measure()
-            row = self._measured[operation - 0x22]
-            return self._send(operation, *(int(value) & 0xFFFF for value in row))
+        elif operation == 0x22:
+            return self._send(operation, *np.clip(motors.positions.round(), 0, 65535))
+        elif operation == 0x24:
+            signs = np.sign(motors.targets - motors.positions)
+            return self._send(operation, *(signs * motors.currents / 6.5).round())
+        elif operation == 0x25:
+            return self._send(operation, *motors.temperatures)
         return b""
-
-    def _trim(self, actuator: int, degrees: int) -> bytes:
-        if actuator >= 7:
-            return b""
-        signed = degrees - 0x10000 if degrees & 0x8000 else degrees
-        count = self.extended[actuator] + int(signed * 11.375)
-        self.extended[actuator] = min(max(count, 0), 4095)
-        return self._send(0x03, actuator, self.extended[actuator])
 
     def _limit(self, operation: int, actuator: int, value: int) -> tuple[int, int]:
         if actuator >= 7:
@@ -179,19 +138,10 @@ class AeroHand:
         self.torques[actuator] = min(value, 1023)
         return actuator, self.torques[actuator]
 
-    def _measure(self) -> None:
-        if self.dead:  # the firmware keeps all old values if one servo of the group is silent
-            return
-        motors = self.motors
-        rpm = motors.velocities / 65535 * (HIGH - LOW) / 6
-        self._measured[0] = np.clip(motors.positions.round(), 0, 65535)
-        self._measured[1] = (rpm / 0.732).round()
-        self._measured[2] = (
-            np.sign(motors.targets - motors.positions) * motors.currents / 6.5
-        ).round()
-        self._measured[3] = motors.temperatures
-
-    def _send(self, operation: int, *words: int) -> bytes:
+    def _send(self, operation: int, *words: float) -> bytes:
         wrong = self.faults.next_wrong()
-        answer = frame(operation ^ 0x07 if wrong == "operation" else operation, *words)
+        answer = frame(
+            operation ^ 0x07 if wrong == "operation" else operation,
+            *(int(word) & 0xFFFF for word in words),
+        )
         return answer[:-3] if wrong == "short" else answer

@@ -20,13 +20,15 @@ joints (here none), and the values of `motorstate` and `error` (here 0, until a 
 
 import threading
 import time
+import types
 from dataclasses import dataclass
+from typing import Any
 
 import cyclonedds.idl as idl
 import cyclonedds.idl.annotations as annotate
-import cyclonedds.idl.types as types
 import numpy as np
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl.types import array, float32, int16, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -39,77 +41,69 @@ ORDER = {
 }
 
 
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class MotorCmd(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):
-    mode: types.uint8
-    q: types.float32
-    dq: types.float32
-    tau: types.float32
-    kp: types.float32
-    kd: types.float32
-    reserve: types.uint32
+def _message(name: str, **fields: Any) -> Any:
+    """A final type with sequential member numbers."""
+
+    def body(members: dict[str, Any]) -> None:
+        members["__module__"] = __name__
+        members["__annotations__"].update(fields)
+
+    typename = f"unitree_hg.msg.dds_.{name}_"
+    kind = types.new_class(name, (idl.IdlStruct,), {"typename": typename}, body)
+    return dataclass(annotate.final(annotate.autoid("sequential")(kind)))
 
 
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class HandCmd(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandCmd_"):
-    motor_cmd: types.sequence[MotorCmd]
-    reserve: types.array[types.uint32, 4]
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class MotorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):
-    mode: types.uint8
-    q: types.float32
-    dq: types.float32
-    ddq: types.float32
-    tau_est: types.float32
-    temperature: types.array[types.int16, 2]
-    vol: types.float32
-    sensor: types.array[types.uint32, 2]
-    motorstate: types.uint32
-    reserve: types.array[types.uint32, 4]
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class PressSensorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.PressSensorState_"):
-    pressure: types.array[types.float32, 12]
-    temperature: types.array[types.float32, 12]
-    lost: types.uint32
-    reserve: types.uint32
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class IMUState(idl.IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):
-    quaternion: types.array[types.float32, 4]
-    gyroscope: types.array[types.float32, 3]
-    accelerometer: types.array[types.float32, 3]
-    rpy: types.array[types.float32, 3]
-    temperature: types.int16
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class HandState(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandState_"):
-    motor_state: types.sequence[MotorState]
-    press_sensor_state: types.sequence[PressSensorState]
-    imu_state: IMUState
-    power_v: types.float32
-    power_a: types.float32
-    system_v: types.float32
-    device_v: types.float32
-    error: types.array[types.uint32, 2]
-    reserve: types.array[types.uint32, 2]
+MotorCmd = _message(
+    "MotorCmd",
+    mode=uint8,
+    q=float32,
+    dq=float32,
+    tau=float32,
+    kp=float32,
+    kd=float32,
+    reserve=uint32,
+)
+HandCmd = _message("HandCmd", motor_cmd=sequence[MotorCmd], reserve=array[uint32, 4])
+MotorState = _message(
+    "MotorState",
+    mode=uint8,
+    q=float32,
+    dq=float32,
+    ddq=float32,
+    tau_est=float32,
+    temperature=array[int16, 2],
+    vol=float32,
+    sensor=array[uint32, 2],
+    motorstate=uint32,
+    reserve=array[uint32, 4],
+)
+PressSensorState = _message(
+    "PressSensorState",
+    pressure=array[float32, 12],
+    temperature=array[float32, 12],
+    lost=uint32,
+    reserve=uint32,
+)
+IMUState = _message(
+    "IMUState",
+    quaternion=array[float32, 4],
+    gyroscope=array[float32, 3],
+    accelerometer=array[float32, 3],
+    rpy=array[float32, 3],
+    temperature=int16,
+)
+HandState = _message(
+    "HandState",
+    motor_state=sequence[MotorState],
+    press_sensor_state=sequence[PressSensorState],
+    imu_state=IMUState,
+    power_v=float32,
+    power_a=float32,
+    system_v=float32,
+    device_v=float32,
+    error=array[uint32, 2],
+    reserve=array[uint32, 2],
+)
 
 
 class Dex3Hand:

@@ -12,11 +12,12 @@ Facts: 1 Mbit/s, 5 Mbit/s for data. Identifier = kind + board: 0x100 motion comm
 configuration, 0x180 feedback, 0x80 answer to a configuration, 0x600 error. Boards: left 1 to 6,
 right 7 to 12. Motors of the boards: (th_dip, th_mcp), (th_rot, ff_spr), (ff_dip, ff_mcp), then
 middle, ring and little finger. A command is mode, enable bits and two i16, low byte first; in mode
-0x44 (cascaded), the only one here, the unit is 0.01°. Hall counts are degrees x scale x
-6*25*16/360. Feedback: current [mA], speed [rpm], Hall counts of each motor, two angles in 0.01°
-(16 bytes); touch of a fingertip to byte 42, encoders to byte 46. A good answer to a configuration
-repeats its first two bytes and adds 00 01. An error frame of a hand had 64 bytes: EE, motor, bits.
-A finger that something holds may go into the error state, and then ignores commands until 03 A4.
+0x44 (cascaded), the only one here, the unit is 0.01°. Feedback: current [mA], speed [rpm], Hall
+counts of each motor, two angles in 0.01° (16 bytes); touch of a fingertip to byte 42, encoders to
+byte 46. Speed, counts and encoders, which the driver does not use, are 0 here. A good answer to a
+configuration repeats its first two bytes and adds 00 01. An error frame of a hand had 64 bytes: EE,
+motor, bits. A finger that something holds may go into the error state, and then ignores commands
+until 03 A4.
 
 Not found: whether boards send feedback before they are configured (here they do not), how long a
 motor must stall (here 0.5 s), how long feedback frames are on the wire (here 48 bytes with touch
@@ -40,8 +41,6 @@ JOINTS = (
     *("th_dip", "th_mcp", "th_rot", "ff_spr", "ff_dip", "ff_mcp"),
     *("mf_dip", "mf_mcp", "rf_dip", "rf_mcp", "lf_dip", "lf_mcp"),
 )
-HALL_SCALE = np.array([2.1, 2.1, 1.8, 4.0, 2.2, 1.6, 2.2, 1.6, 2.2, 1.6, 2.2, 1.6])
-COUNTS = HALL_SCALE * 6 * 25 * 16 / 360  # Hall counts per degree
 FREE, CASCADED = 0x00, 0x44
 OVERLOAD, STALL = 1, 4  # bits of motor 1; of motor 2 they are 4 bits higher
 
@@ -164,17 +163,10 @@ class DexHand021:
 
     def _payload(self, board: int) -> bytes:
         motors = self.motors
-        positions, velocities, currents = motors.positions, motors.velocities, motors.currents
-        payload = b""
-        for motor in (2 * board, 2 * board + 1):
-            payload += struct.pack(
-                "<hhh",
-                round(currents[motor]),
-                round(velocities[motor] * HALL_SCALE[motor] * 25 / 6),
-                round(positions[motor] * COUNTS[motor]),
-            )
-        angles = [round(100 * positions[motor]) for motor in (2 * board, 2 * board + 1)]
-        payload += struct.pack("<hh", *angles)
+        pair = slice(2 * board, 2 * board + 2)
+        first, second = np.rint(motors.currents[pair]).astype(int)
+        angles = np.rint(100 * motors.positions[pair]).astype(int)
+        payload = struct.pack("<8h", first, 0, 0, second, 0, 0, *angles)
         if board == 1:
             return payload
         touch = self.touch[board]
@@ -188,7 +180,7 @@ class DexHand021:
             0,
             round(motors.temperatures[2 * board]),
         )
-        return payload + struct.pack("<HH", *(angle % 36000 * 4096 // 36000 for angle in angles))
+        return payload + bytes(4)
 
     def _frame(self, kind: int, board: int, payload: bytes) -> can.Message:
         wrong = self.faults.next_wrong()

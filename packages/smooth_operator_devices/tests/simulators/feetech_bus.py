@@ -6,11 +6,11 @@ Sources, by the maker (Feetech):
   protocol_packet_handler,group_sync_read,group_sync_write}.py`: packets, instructions, byte order,
   addresses, sign bits, bits of the error byte, limits of identifiers and lengths.
 - "Communication Protocol User Manual" 191218-0923, as quoted byte for byte in public copies:
-  examples 1 to 8 (`test_simulators.py` has them).
+  examples of the instructions that are here (`test_simulators.py` has them).
 - Memory table of the STS series (Feetech, public copy): initial values, status bits, torque switch
   (0 off, 1 on), torque limit 48 filled from 16 at power on, units, moving flag.
 - github.com/ftservo/ftservo-wiki, commit a1c18bd4, `docs/en/reference/memory-scscl.md`: SCSCL,
-  high byte first, lock 48, addresses 69 and 70.
+  high byte first, lock 48.
 - Data sheet ST-3215-C018 (2023-07-20), paragraphs 7 to 11, as quoted in a public repository:
   stalled above 80 % for 2 s is an overload; a new position command clears it.
 - github.com/huggingface/lerobot, commit 7427f318, `motors/feetech/tables.py` (not the maker):
@@ -20,14 +20,14 @@ Sources, by the maker (Feetech):
 Facts: a packet is FF FF, identifier, length, instruction or error byte, parameters, and the
 complement of the sum. SCS words are sent high byte first, STS words low byte first. SCS0009: 0 to
 1023 over 300°. STS3215: 0 to 4095 over 360°. Position and speed have their sign in bit 15, load in
-bit 10, offset in bit 11. Load is the duty cycle in 0.1 %, current 6.5 mA a unit, voltage 0.1 V.
+bit 10, offset in bit 11. Load is the duty cycle in 0.1 %, voltage 0.1 V.
 Broadcast (254) is never answered, except a sync read.
 
 Not found: how an SCS0009 recovers from an overload (here as the STS3215: by a new goal), the values
 of its status byte 65 (here as the STS3215), its initial values (here 20 %, 200 and 80 %, from a
-user's reading of another SCS servo), and whether an SCS0009 answers at 69 (the maker's table of
-the series lists it; here it reads 0). Speed is one unit per step and second for both, which the
-manual says for the STS only; here a goal speed of 0 is the largest speed.
+user's reading of another SCS servo). Speed is one unit per step and second for both, which the
+manual says for the STS only; here a goal speed of 0 is the largest speed. Registered writes and the
+STS' current are not here: the driver does not use them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from dataclasses import dataclass
 
 from .common import Clock, Faults, Motors
 
-PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 BROADCAST = 0xFE
 
 
@@ -52,12 +52,11 @@ class Model:
     lock: int
     protections: tuple[int, int, int]  # addresses: protective torque, time, overload torque
     time_unit: float  # seconds a unit of the protection time
-    current: bool
 
 
 MODELS = {
-    "scs0009": Model(1284, 1024, False, False, 48, (37, 38, 39), 0.04, False),
-    "sts3215": Model(777, 4096, True, True, 55, (34, 35, 36), 0.01, True),
+    "scs0009": Model(1284, 1024, False, False, 48, (37, 38, 39), 0.04),
+    "sts3215": Model(777, 4096, True, True, 55, (34, 35, 36), 0.01),
 }
 
 
@@ -85,7 +84,6 @@ class Servo:
         for address, value in zip(model.protections, (20, 200, 80), strict=True):
             self.memory[address] = value
         self.saved = bytes(self.memory[:40])
-        self.waiting: tuple[int, bytes] | None = None
         self.stalled_since: float | None = None
         self.power_on()
 
@@ -97,7 +95,6 @@ class Servo:
         if self.model.lock == 55:
             self.set_word(48, self.word(16))
         self.error = 0
-        self.waiting = None
         self.stalled_since = None
         self.motors.set_power(False, [self.number])
 
@@ -163,12 +160,8 @@ class Servo:
         self.set_word(60, duty | (0x400 if negative else 0))
         self.memory[62] = self.memory[62] or 74
         self.memory[63] = round(motors.temperatures[i])
-        self.memory[64] = int(self.waiting is not None)
         self.memory[65] = self.error
         self.memory[66] = int(moving)
-        if self.model.current:
-            units = round(motors.currents[i] * (duty / 1000 if self.error & 32 else 1) / 6.5)
-            self.set_word(69, units | (0x8000 if negative and units else 0))
 
 
 class FeetechBus:
@@ -258,12 +251,6 @@ class FeetechBus:
         if kind == WRITE and len(parameters) > 1:
             servo.write(parameters[0], parameters[1:])
             return b"" if servo.memory[8] else None
-        if kind == REG_WRITE and len(parameters) > 1:
-            servo.waiting = (parameters[0], parameters[1:])
-            return b"" if servo.memory[8] else None
-        if kind == ACTION and servo.waiting is not None:
-            servo.write(*servo.waiting)
-            servo.waiting = None
         return None
 
     def _status(self, identifier: int, data: bytes) -> bytes:

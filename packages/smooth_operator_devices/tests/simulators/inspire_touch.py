@@ -8,10 +8,10 @@ Sources:
 - `inspire_hand_sdk/inspire_sdkpy/{inspire_sdk,inspire_hand_defaut}.py` there (maker of the SDK:
   Unitree): addresses and shapes of the touch data, status codes, calls.
 
-Facts: TCP port 6000, address 192.168.11.210; functions 3, 6 and 16. **Addresses count bytes**: six
+Facts: TCP port 6000; functions 3, 6 (not here) and 16. **Addresses count bytes**: six
 shorts from 1546 end at 1557, and one register of Modbus covers two addresses. Order: little, ring,
 middle, index, thumb bending, thumb rotation. Angle 0 to 1000 (1000 is open), -1 leaves a finger as
-it is; position 0 to 2000 runs the other way. At speed 1000 a finger needs 0.6 s for its range.
+it is. At speed 1000 a finger needs 0.6 s for its range.
 Force in grams, threshold 0 to 3000; current in mA; faults: bit 0 stall, 1 heat, 2 current, 3 motor,
 4 communication; clearing (1004) does not clear heat, which goes by itself. Touch cells: a word
 each; per finger 3 x 3, 12 x 8 and 10 x 8 (thumb: 3 x 3, 12 x 8, 3 x 3, 12 x 8), by rows; palm 8
@@ -65,14 +65,14 @@ class InspireTouchHand:
         ...                                            # the driver connects to hand.address
         hand.transaction_shift = 1                     # answers off by one
         hand.faults.silent = True; hand.hang_up()      # outages: no answers; connections closed
-        hand.faults.answer_wrongly("unit")             # or "short", "protocol"
+        hand.faults.answer_wrongly("unit")             # or "short"
         hand.touch["index", "tip"][1, 2] = 900; hand.errors[3] |= 1; hand.reboot()
         hand.motors.positions, hand.word(1498)         # state: angles 0 to 1000
     """
 
     def __init__(self, *, clock: Clock = time.monotonic) -> None:
         self.transaction_shift = 0
-        self.faults = Faults("unit", "short", "protocol")
+        self.faults = Faults("unit", "short")
         self.motors = Motors(np.full(6, 1000.0), 1000 / 0.6, clock=clock)
         self.errors = np.zeros(6, dtype=int)
         self.forces = np.zeros(6, dtype=int)
@@ -84,7 +84,6 @@ class InspireTouchHand:
             self._put(1032 + 2 * i, 1000)
             self._put(1044 + 2 * i, 1000)
         self._memory[1000] = 1
-        self._memory[1700:1704] = bytes([192, 168, 11, 210])
         self.reboot()
         self._server: socketserver.ThreadingTCPServer | None = None
 
@@ -169,18 +168,17 @@ class InspireTouchHand:
         if self.faults.silent or len(request) < 8:
             return b""
         self.received.append(request)
-        transaction, protocol, _, unit = struct.unpack(">HHHB", request[:7])
+        transaction, _, _, unit = struct.unpack(">HHHB", request[:7])
         body = self.answer(request[7], request[8:])
         wrong = self.faults.next_wrong()
         transaction = (transaction + self.transaction_shift) & 0xFFFF
         unit = (unit + 1) & 0xFF if wrong == "unit" else unit
-        protocol = 1 if wrong == "protocol" else protocol
-        answer = struct.pack(">HHHB", transaction, protocol, len(body) + 1, unit) + body
+        answer = struct.pack(">HHHB", transaction, 0, len(body) + 1, unit) + body
         return answer[:-3] if wrong == "short" else answer
 
     def answer(self, function: int, body: bytes) -> bytes:
         """Function code and data that answer a request."""
-        if function not in (3, 6, 16) or len(body) < 4:
+        if function not in (3, 16) or len(body) < 4:
             return bytes([function | 0x80, 1])
         address, count = struct.unpack(">HH", body[:4])
         if function == 3:
@@ -194,10 +192,9 @@ class InspireTouchHand:
                 for i in range(count)
             ]
             return bytes([3, 2 * count]) + struct.pack(f">{count}H", *registers)
-        values = [count] if function == 6 else list(struct.unpack(f">{count}H", body[5:]))
-        if not self._known(address, len(values)):
+        if not self._known(address, count):
             return bytes([function | 0x80, 2])
-        for i, value in enumerate(values):
+        for i, value in enumerate(struct.unpack(f">{count}H", body[5:])):
             self._write(address + 2 * i, value)
         return bytes([function]) + body[:4]
 
@@ -241,7 +238,6 @@ class InspireTouchHand:
                 status.append(STALLED)
             else:
                 status.append(RELEASING if away > 0 else GRASPING)
-            self._put(1534 + 2 * i, round(2000 - 2 * positions[i]))
             self._put(1546 + 2 * i, round(positions[i]))
             self._put(1582 + 2 * i, int(self.forces[i]))
             self._put(1594 + 2 * i, round(currents[i]))

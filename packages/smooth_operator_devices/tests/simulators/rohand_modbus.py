@@ -10,20 +10,18 @@ Sources, by the maker (OYMotion):
 - github.com/oymotion/roh_firmware, `FAQs` (a motor over its current limit stops, and starts again
   when its target is written again).
 
-Facts: 115200 baud 8N1, node 2; functions 3, 6 and 16. Fingers: thumb bending, index, middle, ring,
-little, thumb rotation. Target and position 0 (open) to 65535. Angles in 0.01°; those of the four
-fingers fall when they close. Defaults at every power on: current limit 1178 mA, speed 65535 a
-second. Error 4 (device failure) has its reason in register 1006.
+Facts: 115200 baud 8N1, node 2; functions 3 and 16. Fingers: thumb bending, index, middle, ring,
+little, thumb rotation. Target and position 0 (open) to 65535. Defaults at every power on: current
+limit 1178 mA, speed 65535 a second. Error 4 (device failure) has its reason in register 1006.
 
 **The generations differ**: the first has force limits (15000 mN) at 1115 to 1119 and forces at 1120
 to 1124; the second has force targets (0: no force control) at 1115 to 1119 and forces at 1175 to
-1179. The thumb's angles differ, too.
+1179.
 
 Not found: when the errors "motor stuck" and "invalid register value" come (here the hand accepts a
-target of a stuck finger), the answer to a register outside the table or a write to one that is read
-only (here error 2), whether broadcasts (node 0) are obeyed (here they are not), how long the hand
-initialises after power on (here `init_time`), and which end of the thumb's range is the open one
-(here the larger angle of bending and the smaller one of rotation).
+target of a stuck finger), the answer to a register outside the table (here error 2), whether
+broadcasts (node 0) are obeyed (here they are not), and how long the hand initialises after power on
+(here `init_time`). Only what the driver uses is here: no angles, and no function 6.
 """
 
 from __future__ import annotations
@@ -37,13 +35,8 @@ from .modbus_rtu import RtuDevice
 
 FINGERS = ("thumb", "index", "middle", "ring", "little", "thumb_rotation")
 OPENING, CLOSING, REACHED, OVER_CURRENT, FORCE_REACHED, STUCK = range(6)
-ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, DEVICE_FAILURE = 1, 2, 4
 NOT_INITIALISED = 1
-_FINGER_ANGLES = [[17837, 10022], [17606, 9781], [17654, 10138], [17486, 9884]]
-ANGLES = {  # open, closed [0.01°] of each generation
-    1: np.array([[3676, -745], *_FINGER_ANGLES, [100, 9000]]),
-    2: np.array([[3676, 226], *_FINGER_ANGLES, [0, 9000]]),
-}
 
 
 class RoHand(RtuDevice):
@@ -98,36 +91,19 @@ class RoHand(RtuDevice):
     def answer(self, function: int, body: bytes) -> bytes:
         """Function code and data that answer a request."""
         address, count = int.from_bytes(body[:2], "big"), int.from_bytes(body[2:4], "big")
-        if function not in (3, 6, 16):
+        if function not in (3, 16):
             return bytes([function | 0x80, ILLEGAL_FUNCTION])
         if self._clock() < self._ready_at and address != 1006:
             self._registers[1006] = NOT_INITIALISED
             return bytes([function | 0x80, DEVICE_FAILURE])
         if function == 3:
-            if not 1 <= count <= 125:
-                return bytes([0x83, ILLEGAL_VALUE])
             values = self.read(address, count)
             if values is None:
                 return bytes([0x83, ILLEGAL_ADDRESS])
             return bytes([3, 2 * count]) + b"".join(v.to_bytes(2, "big") for v in values)
-        if function == 6:
-            values = [count]
-        else:
-            if len(body) != 5 + 2 * count or body[4] != 2 * count:
-                return bytes([0x90, ILLEGAL_VALUE])
-            values = [int.from_bytes(body[5 + 2 * i : 7 + 2 * i], "big") for i in range(count)]
-        if not all(self._writable(address + i) for i in range(len(values))):
-            return bytes([function | 0x80, ILLEGAL_ADDRESS])
-        for i, value in enumerate(values):
-            self._write(address + i, value)
+        for i in range(count):
+            self._write(address + i, int.from_bytes(body[5 + 2 * i : 7 + 2 * i], "big"))
         return bytes([function]) + body[:4]
-
-    def _writable(self, address: int) -> bool:
-        writable = (1005, 1008, 1009, 1010, 1011, 1012, 1013, 1014, 1015, 1016)
-        blocks = (1020, 1030, 1045, 1055, 1065, 1075, 1095, 1115, 1125, 1135, 1155)
-        if self.generation == 1 and 1120 <= address < 1125:
-            return False
-        return address in writable or any(start <= address < start + 10 for start in blocks)
 
     def _write(self, address: int, value: int) -> None:
         finger = address % 10 - 5 if address % 10 >= 5 else address % 10 + 5
@@ -171,12 +147,9 @@ class RoHand(RtuDevice):
                 status = STUCK
             else:
                 status = CLOSING if away > 0 else OPENING
-            opened, closed = ANGLES[self.generation][k]
-            angle = opened + (closed - opened) * positions[k] / 65535
             self._registers[1085 + k] = status
             self._registers[1105 + k] = round(0.0 if self._stopped[k] else currents[k])
             self._registers[1145 + k] = round(positions[k])
-            self._registers[1165 + k] = round(angle)
         first = 1120 if self.generation == 1 else 1175
         for k in range(5):
             self._registers[first + k] = int(self.forces[k])

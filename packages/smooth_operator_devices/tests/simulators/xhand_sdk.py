@@ -31,12 +31,8 @@ import numpy as np
 from .common import Clock, Faults, Motors
 from .sdk import module
 
-JOINTS = (
-    *("thumb_bend", "thumb_rotation_1", "thumb_rotation_2", "index_side", "index_1", "index_2"),
-    *("middle_1", "middle_2", "ring_1", "ring_2", "pinky_1", "pinky_2"),
-)
 INVALID_DEVICE_ID, DEVICE_NOT_INIT, OPEN_DEVICE_FAILED = 1501037, 1501038, 1501039
-SERIAL_COMMUNICATION_ERROR, JOINT_CURRENT_PROTECTED = 1501050, 1501035
+SERIAL_COMMUNICATION_ERROR = 1501050
 
 
 class _Number:
@@ -67,7 +63,6 @@ class FingerCommand_t:
     id, tor_max, mode = _unsigned(16), _unsigned(16), _unsigned(16)
     kp, ki, kd = _Number(-32768, 32767), _Number(-32768, 32767), _Number(-32768, 32767)
     position = _Number()
-    res0, res1, res2, res3 = (_unsigned(16) for _ in range(4))
 
 
 class HandCommand_t:
@@ -81,7 +76,7 @@ class HandCommand_t:
 
 class FingerState_t:
     def __init__(self) -> None:
-        self.id = self.sensor_id = self.torque = self.raw_position = self.temperature = 0
+        self.id = self.torque = self.temperature = 0
         self.commboard_err = self.jonitboard_err = self.tipboard_err = 0
         self.position = 0.0
 
@@ -94,7 +89,6 @@ class PXSR_ForceData:
 class SenserData_t:
     def __init__(self) -> None:
         self.calc_force = PXSR_ForceData()
-        self.raw_force = [PXSR_ForceData() for _ in range(120)]
 
 
 class HandState_t:
@@ -134,7 +128,7 @@ class XHand:
         self.faults = Faults("error")
         self.motors = Motors(np.zeros(12), 4.0, clock=clock)
         self.joint_errors = [0] * 12
-        self.touch = np.zeros((5, 120, 3), dtype=int)
+        self.forces = np.zeros((5, 3), dtype=int)  # of the fingertips: -128 to 127, z 0 to 255
         self.commands: list[list[tuple[float, ...]]] = []
         self.motors.set_power(False)
 
@@ -164,13 +158,10 @@ class XHand:
             finger.id = i
             finger.position = float(np.float32(positions[i]))
             finger.torque = round(currents[i])
-            finger.raw_position = round(2048 + positions[i] * 1000) & 0xFFFF
             finger.temperature = round(self.motors.temperatures[i])
             finger.jonitboard_err = self.joint_errors[i]
-        for sensor, forces in zip(state.sensor_data, self.touch, strict=True):
-            sensor.raw_force = [PXSR_ForceData(*map(int, force)) for force in forces]
-            total = np.clip(forces.sum(axis=0), [-128, -128, 0], [127, 127, 255])
-            sensor.calc_force = PXSR_ForceData(*map(int, total))
+        for sensor, force in zip(state.sensor_data, self.forces, strict=True):
+            sensor.calc_force = PXSR_ForceData(*map(int, force))
         return state
 
 
@@ -223,15 +214,7 @@ def xhand_modules(*hands: XHand) -> dict[str, types.ModuleType]:
             return error, "" if hand is None else hand.side.capitalize()
 
     control = module(
-        "xhand_controller.xhand_control",
-        XHandControl=XHandControl,
-        HandCommand_t=HandCommand_t,
-        FingerCommand_t=FingerCommand_t,
-        HandState_t=HandState_t,
-        FingerState_t=FingerState_t,
-        SenserData_t=SenserData_t,
-        PXSR_ForceData=PXSR_ForceData,
-        ErrorStruct=ErrorStruct,
+        "xhand_controller.xhand_control", XHandControl=XHandControl, HandCommand_t=HandCommand_t
     )
     return {
         "xhand_controller": module("xhand_controller", xhand_control=control),

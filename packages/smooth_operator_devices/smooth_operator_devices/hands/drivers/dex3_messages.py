@@ -1,97 +1,69 @@
 """Messages of Unitree's Dex3-1 over DDS.
 
 Names and fields: the maker's unitreerobotics/unitree_sdk2_python, commit 37116c52
-(``unitree_sdk2py/idl/unitree_hg/msg/dds_``).
+(``unitree_sdk2py/idl/unitree_hg/msg/dds_``). Units: positions in rad, velocities in rad/s, torques
+in N m.
 """
-# Without postponed annotations, since cyclonedds reads the types of the fields.
 
-from dataclasses import dataclass
+from cyclonedds.idl.types import array, float32, int16, sequence, uint8, uint32
 
-import cyclonedds.idl as idl
-import cyclonedds.idl.annotations as annotate
-import cyclonedds.idl.types as types
+from smooth_operator_devices.ros2.messages import message_class
 
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class MotorCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):  # type: ignore[call-arg,misc]
-    """Command of a motor: mode, position [rad], velocity [rad/s], torque [N m], gains."""
-
-    mode: types.uint8
-    q: types.float32
-    dq: types.float32
-    tau: types.float32
-    kp: types.float32
-    kd: types.float32
-    reserve: types.uint32 = 0
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class HandCommand(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandCmd_"):  # type: ignore[call-arg,misc]
-    """Command of a hand."""
-
-    motor_cmd: types.sequence[MotorCommand]
-    reserve: types.array[types.uint32, 4]
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class MotorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):  # type: ignore[call-arg,misc]
-    """State of a motor: position [rad], velocity [rad/s], torque [N m], two temperatures."""
-
-    mode: types.uint8
-    q: types.float32
-    dq: types.float32
-    ddq: types.float32
-    tau_est: types.float32
-    temperature: types.array[types.int16, 2]
-    vol: types.float32
-    sensor: types.array[types.uint32, 2]
-    motorstate: types.uint32
-    reserve: types.array[types.uint32, 4]
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class PressState(idl.IdlStruct, typename="unitree_hg.msg.dds_.PressSensorState_"):  # type: ignore[call-arg,misc]
-    """State of a field of twelve pressure sensors."""
-
-    pressure: types.array[types.float32, 12]
-    temperature: types.array[types.float32, 12]
-    lost: types.uint32
-    reserve: types.uint32
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class ImuState(idl.IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):  # type: ignore[call-arg,misc]
-    """State of the hand's inertial sensor."""
-
-    quaternion: types.array[types.float32, 4]
-    gyroscope: types.array[types.float32, 3]
-    accelerometer: types.array[types.float32, 3]
-    rpy: types.array[types.float32, 3]
-    temperature: types.int16
-
-
-@dataclass
-@annotate.final
-@annotate.autoid("sequential")
-class HandState(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandState_"):  # type: ignore[call-arg,misc]
-    """State of a hand."""
-
-    motor_state: types.sequence[MotorState]
-    press_sensor_state: types.sequence[PressState]
-    imu_state: ImuState
-    power_v: types.float32
-    power_a: types.float32
-    system_v: types.float32
-    device_v: types.float32
-    error: types.array[types.uint32, 2]
-    reserve: types.array[types.uint32, 2]
+MotorCommand = message_class(
+    "unitree_hg",
+    "MotorCmd",
+    mode=uint8,
+    q=float32,
+    dq=float32,
+    tau=float32,
+    kp=float32,
+    kd=float32,
+    reserve=uint32,
+)
+HandCommand = message_class(
+    "unitree_hg", "HandCmd", motor_cmd=sequence[MotorCommand], reserve=array[uint32, 4]
+)
+_MotorState = message_class(
+    "unitree_hg",
+    "MotorState",
+    mode=uint8,
+    q=float32,
+    dq=float32,
+    ddq=float32,
+    tau_est=float32,
+    temperature=array[int16, 2],
+    vol=float32,
+    sensor=array[uint32, 2],
+    motorstate=uint32,
+    reserve=array[uint32, 4],
+)
+_PressState = message_class(
+    "unitree_hg",
+    "PressSensorState",
+    pressure=array[float32, 12],
+    temperature=array[float32, 12],
+    lost=uint32,
+    reserve=uint32,
+)
+_ImuState = message_class(
+    "unitree_hg",
+    "IMUState",
+    quaternion=array[float32, 4],
+    gyroscope=array[float32, 3],
+    accelerometer=array[float32, 3],
+    rpy=array[float32, 3],
+    temperature=int16,
+)
+HandState = message_class(
+    "unitree_hg",
+    "HandState",
+    motor_state=sequence[_MotorState],
+    press_sensor_state=sequence[_PressState],
+    imu_state=_ImuState,
+    power_v=float32,
+    power_a=float32,
+    system_v=float32,
+    device_v=float32,
+    error=array[uint32, 2],
+    reserve=array[uint32, 2],
+)
