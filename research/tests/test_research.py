@@ -19,7 +19,6 @@ MODULES = sorted(
     ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
     for path in SOURCE.rglob("*.py")
 )
-WORDS = ["paper", "ablate", "physics", "cross-hand run", "study simulate", "bench --physics"]
 
 
 @pytest.mark.parametrize("name", MODULES)
