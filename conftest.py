@@ -272,6 +272,13 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def own_hands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a user's own hands; it is made with the first one."""
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(folder := tmp_path / "hands of ünser user"))
+    return folder
+
+
+@pytest.fixture
 def run(capfd: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs a command in this process: exit status, standard output and standard error."""
     from smooth_operator.cli import main

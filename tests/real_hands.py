@@ -6,9 +6,9 @@ a description of ours shows.
 
 from dataclasses import dataclass
 
-At = tuple[str, tuple[float, float, float]]
+At = tuple[str, tuple[float, ...]]
 """Body, offset in its frame [m]."""
-Finger = tuple[At | None, At | None, At | None, At | None]
+Finger = list[At | None]
 
 
 @dataclass(frozen=True)
@@ -30,200 +30,117 @@ class RealHand:
     moving: tuple[str, ...] = ()
 
 
-def at(body: str, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> At:
-    return body, (x, y, z)
+def at(text: str) -> At:
+    """A point from ``BODY`` or ``BODY:x,y,z``."""
+    body, _, offset = text.partition(":")
+    return body, tuple(float(number) for number in (offset or "0,0,0").split(","))
+
+
+def finger(text: str) -> Finger:
+    """Four points from base to tip; ``-`` is a joint that the finger has not got."""
+    return [None if word == "-" else at(word) for word in text.split()]
 
 
 LONG = ("index", "middle", "ring", "pinky")
+SHADOW = ("ff", "mf", "rf", "lf")
 
 
 def shadow(p: str, side: str) -> RealHand:
-    def finger(f: str) -> Finger:
-        return (
-            at(f"{p}{f}knuckle"),
-            at(f"{p}{f}middle"),
-            at(f"{p}{f}distal"),
-            at(f"{p}{f}distal", z=0.026),
-        )
-
-    thumb = (at(f"{p}thbase"), at(f"{p}thhub"), at(f"{p}thdistal"), at(f"{p}thdistal", z=0.0275))
-    fingers = {n: finger(f) for n, f in zip(LONG, ("ff", "mf", "rf", "lf"), strict=True)}
-    return RealHand(
-        f"hands/shadow_hand/{side}_hand.xml",
-        f"{p}palm",
-        at(f"{p}palm"),
-        {"thumb": thumb} | fingers,
-        moving=("pinky",),
-    )
+    fingers = {"thumb": finger(f"{p}thbase {p}thhub {p}thdistal {p}thdistal:0,0,0.0275")}
+    for name, f in zip(LONG, SHADOW, strict=True):
+        tip = f"{p}{f}distal:0,0,0.026"
+        fingers[name] = finger(f"{p}{f}knuckle {p}{f}middle {p}{f}distal {tip}")
+    file = f"hands/shadow_hand/{side}_hand.xml"
+    return RealHand(file, f"{p}palm", at(f"{p}palm"), fingers, moving=("pinky",))
 
 
 def allegro(side: str) -> RealHand:
-    def finger(f: str, tip: float, base: str) -> Finger:
-        return at(f"{f}_{base}"), at(f"{f}_medial"), at(f"{f}_distal"), at(f"{f}_distal", z=tip)
-
-    fingers = {
-        n: finger(f, 0.0387, "proximal") for n, f in zip(LONG[:3], ("ff", "mf", "rf"), strict=True)
-    }
-    thumb = (at("th_base"), at("th_medial"), at("th_distal"), at("th_distal", z=0.0543))
-    return RealHand(
-        f"hands/wonik_allegro_hand/{side}_hand.xml",
-        "palm",
-        at("palm", z=-0.095),
-        {"thumb": thumb} | fingers,
-    )
+    fingers = {"thumb": finger("th_base th_medial th_distal th_distal:0,0,0.0543")}
+    for name, f in zip(LONG[:3], SHADOW[:3], strict=True):
+        fingers[name] = finger(f"{f}_proximal {f}_medial {f}_distal {f}_distal:0,0,0.0387")
+    file = f"hands/wonik_allegro_hand/{side}_hand.xml"
+    return RealHand(file, "palm", at("palm:0,0,-0.095"), fingers)
 
 
 def leap_right() -> RealHand:
-    def finger(k: str, tip: str) -> Finger:
-        return (
-            at(f"mcp_joint{k}", z=0.0145),
-            at(f"dip{k}", z=0.015),
-            at(f"fingertip{k}", z=0.015),
-            at(f"{tip}_tip_head"),
-        )
-
-    thumb = (
-        at("thumb_temp_base"),
-        at("thumb_dip", z=-0.015),
-        at("thumb_fingertip", z=-0.015),
-        at("thumb_tip_head"),
-    )
-    return RealHand(
-        "hands/leap_hand/right_hand.xml",
-        "palm_lower",
-        at("base"),
-        {
-            "thumb": thumb,
-            "index": finger("", "index"),
-            "middle": finger("_2", "middle"),
-            "ring": finger("_3", "ring"),
-        },
-    )
+    thumb = "thumb_temp_base thumb_dip:0,0,-0.015 thumb_fingertip:0,0,-0.015 thumb_tip_head"
+    fingers = {"thumb": finger(thumb)}
+    for name, k in (("index", ""), ("middle", "_2"), ("ring", "_3")):
+        bones = f"mcp_joint{k}:0,0,0.0145 dip{k}:0,0,0.015 fingertip{k}:0,0,0.015"
+        fingers[name] = finger(f"{bones} {name}_tip_head")
+    return RealHand("hands/leap_hand/right_hand.xml", "palm_lower", at("base"), fingers)
 
 
 def leap_left() -> RealHand:
-    def finger(f: str) -> Finger:
-        return (
-            at(f"{f}_bs", z=0.0145),
-            at(f"{f}_md", z=0.015),
-            at(f"{f}_ds", z=0.015),
-            at(f"{f}_ds", y=-0.048, z=0.015),
-        )
-
-    thumb = (
-        at("th_mp"),
-        at("th_px", z=-0.015),
-        at("th_ds", z=-0.015),
-        at("th_ds", y=-0.06, z=-0.015),
-    )
-    return RealHand(
-        "hands/leap_hand/left_hand_kinematics_only.xml",
-        "palm",
-        None,
-        {"thumb": thumb, "index": finger("if"), "middle": finger("mf"), "ring": finger("rf")},
-    )
+    thumb = "th_mp th_px:0,0,-0.015 th_ds:0,0,-0.015 th_ds:0,-0.06,-0.015"
+    fingers = {"thumb": finger(thumb)}
+    for name, f in (("index", "if"), ("middle", "mf"), ("ring", "rf")):
+        tip = f"{f}_ds:0,-0.048,0.015"
+        fingers[name] = finger(f"{f}_bs:0,0,0.0145 {f}_md:0,0,0.015 {f}_ds:0,0,0.015 {tip}")
+    return RealHand("hands/leap_hand/left_hand_kinematics_only.xml", "palm", None, fingers)
 
 
 def wuji() -> RealHand:
     fingers = {}
     for k, name in enumerate(("thumb", *LONG), 1):
         f = f"right_finger{k}_"
-        fingers[name] = (at(f + "link1"), at(f + "link3"), at(f + "link4"), at(f + "tip_link"))
-    return RealHand(
-        "hands/wuji_hand/right_hand.xml", "right_palm_link", at("right_palm_link"), fingers
-    )
+        fingers[name] = finger(f"{f}link1 {f}link3 {f}link4 {f}tip_link")
+    palm = "right_palm_link"
+    return RealHand("hands/wuji_hand/right_hand.xml", palm, at(palm), fingers)
 
 
 def dexee() -> RealHand:
     fingers = {}
     for k, name in ((0, "thumb"), (2, "index"), (1, "middle")):
         f = f"F{k}/finger_"
-        fingers[name] = (
-            at(f + "proximal"),
-            at(f + "middle"),
-            at(f + "distal"),
-            at(f + "distal", y=-0.0062, z=0.04),
-        )
-    return RealHand(
-        "hands/shadow_dexee_hand/shadow_dexee.xml",
-        "hand_base",
-        None,
-        fingers,
-        moving=("thumb", "index", "middle"),
-    )
+        fingers[name] = finger(f"{f}proximal {f}middle {f}distal {f}distal:0,-0.0062,0.04")
+    file = "hands/shadow_dexee_hand/shadow_dexee.xml"
+    return RealHand(file, "hand_base", None, fingers, moving=("thumb", "index", "middle"))
 
 
 def orca() -> RealHand:
-    def finger(base: str, tip: str) -> Finger:
-        return at(f"right_{base}"), at(f"right_{tip}"), None, at(f"right_{tip}", x=-0.0125, z=0.035)
-
-    tip = "FingerTipAssembly_"
-    return RealHand(
-        "hands/orca_v2_hand/right_hand_kinematics_only.xml",
-        "right_R-Carpals_8d1f1041",
-        None,
-        {
-            "thumb": (
-                at("right_T-TP-R_1c2b802d"),
-                at("right_T-PP_68395e98"),
-                at("right_T-DP_b7429e50"),
-                at("right_T-DP_b7429e50", x=-0.007, z=0.025),
-            ),
-            "index": finger("I-PP_bacbd481", f"I-{tip}ec49c16c"),
-            "middle": finger("M-PP_08efa608", f"M-{tip}34afb748"),
-            "ring": finger("M-PP_8660a1eb", f"M-{tip}424a8e75"),
-            "pinky": finger("P-PP_1d411b9b", f"P-{tip}cd219176"),
-        },
-        moving=LONG,
-    )
+    r, tip = "right_", "FingerTipAssembly_"
+    thumb = f"{r}T-TP-R_1c2b802d {r}T-PP_68395e98 {r}T-DP_b7429e50"
+    fingers = {"thumb": finger(f"{thumb} {r}T-DP_b7429e50:-0.007,0,0.025")}
+    for name, base, last in (
+        ("index", "I-PP_bacbd481", f"I-{tip}ec49c16c"),
+        ("middle", "M-PP_08efa608", f"M-{tip}34afb748"),
+        ("ring", "M-PP_8660a1eb", f"M-{tip}424a8e75"),
+        ("pinky", "P-PP_1d411b9b", f"P-{tip}cd219176"),
+    ):
+        fingers[name] = finger(f"{r}{base} {r}{last} - {r}{last}:-0.0125,0,0.035")
+    file = "hands/orca_v2_hand/right_hand_kinematics_only.xml"
+    return RealHand(file, "right_R-Carpals_8d1f1041", None, fingers, moving=LONG)
 
 
 def ability(side: str) -> RealHand:
-    fingers: dict[str, Finger] = {
-        n: (at(f"{n}_L1"), at(f"{n}_L2"), None, at(f"{n}_tip")) for n in ("thumb", *LONG)
-    }
-    return RealHand(
-        f"hands_urdf/ability_hand/ability_hand_{side}.urdf", "base", at("base"), fingers
-    )
+    fingers = {name: finger(f"{name}_L1 {name}_L2 - {name}_tip") for name in ("thumb", *LONG)}
+    file = f"hands_urdf/ability_hand/ability_hand_{side}.urdf"
+    return RealHand(file, "base", at("base"), fingers)
 
 
 def inspire(side: str) -> RealHand:
-    fingers: dict[str, Finger] = {
-        n: (at(f"{n}_proximal"), at(f"{n}_intermediate"), None, at(f"{n}_tip")) for n in LONG
-    }
-    thumb = (
-        at("thumb_proximal_base"),
-        at("thumb_intermediate"),
-        at("thumb_distal"),
-        at("thumb_tip"),
-    )
-    return RealHand(
-        f"hands_urdf/inspire_hand/inspire_hand_{side}.urdf",
-        "hand_base_link",
-        None,
-        {"thumb": thumb} | fingers,
-    )
+    thumb = "thumb_proximal_base thumb_intermediate thumb_distal thumb_tip"
+    fingers = {"thumb": finger(thumb)}
+    fingers |= {n: finger(f"{n}_proximal {n}_intermediate - {n}_tip") for n in LONG}
+    file = f"hands_urdf/inspire_hand/inspire_hand_{side}.urdf"
+    return RealHand(file, "hand_base_link", None, fingers)
 
 
 def svh(side: str) -> RealHand:
-    def finger(letters: str, tip: str) -> Finger:
-        a, b, c = (at(f"{side}_hand_{x}") for x in letters)
-        return a, b, c, at(tip)
-
+    h = f"{side}_hand_"
     fingers = {
-        "thumb": finger("abc", "thtip"),
-        "index": finger("lpt", "fftip"),
-        "middle": finger("kos", "mftip"),
-        "ring": finger("jnr", "rftip"),
-        "pinky": finger("imq", "lftip"),
+        name: finger(f"{h}{a} {h}{b} {h}{c} {tip}tip")
+        for name, (a, b, c), tip in (
+            ("thumb", "abc", "th"),
+            ("index", "lpt", "ff"),
+            ("middle", "kos", "mf"),
+            ("ring", "jnr", "rf"),
+            ("pinky", "imq", "lf"),
+        )
     }
-    return RealHand(
-        f"hands_urdf/schunk_hand/schunk_svh_hand_{side}.urdf",
-        f"{side}_hand_e1",
-        at(f"{side}_hand_e1"),
-        fingers,
-        moving=("ring", "pinky"),
-    )
+    file = f"hands_urdf/schunk_hand/schunk_svh_hand_{side}.urdf"
+    return RealHand(file, f"{h}e1", at(f"{h}e1"), fingers, moving=("ring", "pinky"))
 
 
 REAL: dict[tuple[str, str], RealHand] = {
@@ -235,7 +152,7 @@ REAL: dict[tuple[str, str], RealHand] = {
     ("shadow_dexee", "right"): dexee(),
     ("orca_v2", "right"): orca(),
     **{
-        (f"{name}", side): make(side)
+        (name, side): make(side)
         for name, make in (
             ("allegro_hand", allegro),
             ("ability_hand", ability),

@@ -11,7 +11,6 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.cli.common_options import Group, unwrapped
-from smooth_operator.cli.hands import List
 from smooth_operator.cli.options import COMMANDS
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.plugins import Entry
@@ -43,13 +42,6 @@ def test_every_command_names_the_function_that_takes_its_options():
         work = Entry(kind.work).load()
         (options,) = inspect.signature(work).parameters.values()
         assert issubclass(kind, inspect.get_annotations(work, eval_str=True)[options.name]), words
-
-
-def test_a_command_runs_the_function_with_its_options(monkeypatch):
-    seen: list[Any] = []
-    monkeypatch.setattr("smooth_operator.cli.hands.list_hands", seen.append)
-    assert main(["hands", "list", "--json"]) == 0
-    assert [(type(options), options.json) for options in seen] == [(List, True)]
 
 
 @pytest.mark.parametrize("width", [80, 120])

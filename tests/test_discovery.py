@@ -338,18 +338,11 @@ def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path):
     assert "although names" in because(found, "side")
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch) -> Path:
-    folder = tmp_path / "hands"
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(folder))
-    return folder
-
-
 def add(*arguments: str | Path) -> None:
     tyro.cli(Add, args=[str(a) for a in arguments], config=(tyro.conf.FlagCreatePairsOff,)).run()
 
 
-def test_the_command_writes_a_spec_and_prints_a_checklist(tmp_path, folder, capsys):
+def test_the_command_writes_a_spec_and_prints_a_checklist(tmp_path, own_hands, capsys):
     hand = make_hand(1, side="left")
     path = written(tmp_path, urdf(hand.parts), "gadget_left.urdf")
     add(path, "--all")
@@ -357,39 +350,31 @@ def test_the_command_writes_a_spec_and_prints_a_checklist(tmp_path, folder, caps
     assert text.splitlines()[-1] == "Next: smooth-operator hands check gadget --side left"
     for word in ("side", "palm", "thumb", "order", "tip of pinky", "wrist", "0.98", "--tip"):
         assert word in text
-    file = folder / "gadget.left.toml"
+    file = own_hands / "gadget.left.toml"
     spec = read_hand_spec(file)
     assert replace(spec, model=path) == discover(path).spec
-    assert spec.model == folder / "models" / "gadget.left" / path.name
+    assert spec.model == own_hands / "models" / "gadget.left" / path.name
     assert spec.model.read_bytes() == path.read_bytes()
     assert "0.98  side: left" in file.read_text(encoding="utf-8")
     load_hand_spec(spec)
 
 
-def test_json_is_one_object_and_opens_no_page(tmp_path, folder, capsys):
+def test_json_is_one_object_and_opens_no_page(tmp_path, own_hands, capsys):
     hand = make_hand(1, fingers=3, coupled=True)
     add(written(tmp_path, urdf(hand.parts)), "--json", "--name", "three")
     told = json.loads(capsys.readouterr().out)
     assert told["side"] == "right"
     assert told["palm"] == "palm"
     assert [f["name"] for f in told["fingers"]] == ["thumb", "index", "middle"]
-    for finger in told["fingers"]:
-        assert set(finger) == {"name", "tip_body", "tip_offset", "joints", "confidence"}
-        assert len(finger["tip_offset"]) == 3
-    assert len(told["coupled"]) == 3
-    assert set(told["coupled"][0]) == {
-        "joint",
-        "follows",
-        "multiplier",
-        "offset",
-        "higher",
-        "confidence",
-    }
+    finger, coupled = told["fingers"][0], told["coupled"][0]
+    assert set(finger) == {"name", "tip_body", "tip_offset", "joints", "confidence"}
+    assert len(finger["tip_offset"]) == len(told["coupled"]) == 3
+    assert set(coupled) == {"joint", "follows", "multiplier", "offset", "higher", "confidence"}
     assert {"side", "palm", "thumb", "order"} <= set(told["confidence"])
-    assert told["file"] == str(folder / "three.right.toml")
+    assert told["file"] == str(own_hands / "three.right.toml")
 
 
-def test_couple_makes_a_joint_follow_another(tmp_path, folder, capsys):
+def test_couple_makes_a_joint_follow_another(tmp_path, own_hands, capsys):
     hand = make_hand(1, fingers=3)
     path = written(tmp_path, urdf(hand.parts))
     add(path, "--json", "--name", "free")
@@ -420,25 +405,25 @@ def test_joints_that_nothing_moves_are_reported(tmp_path):
     )
 
 
-def test_a_hand_of_that_name_is_not_replaced_unasked(tmp_path, folder, capsys):
+def test_a_hand_of_that_name_is_not_replaced_unasked(tmp_path, own_hands, capsys):
     path = written(tmp_path, urdf(make_hand(1).parts), "gadget.urdf")
     add(path, "--json")
     add(path, "--json")  # the same again
-    assert [f.name for f in folder.glob("*.toml")] == ["gadget.right.toml"]
+    assert [f.name for f in own_hands.glob("*.toml")] == ["gadget.right.toml"]
     written(tmp_path, urdf(make_hand(2).parts), "gadget.urdf")
     add(path, "--json")
-    assert (folder / "gadget_2.right.toml").is_file()
+    assert (own_hands / "gadget_2.right.toml").is_file()
     with pytest.raises(ConfigError, match="--overwrite"):
         add(path, "--json", "--name", "gadget")
     add(path, "--json", "--name", "gadget", "--overwrite")
-    assert read_hand_spec(folder / "gadget.right.toml").neutral == discover(path).spec.neutral
+    assert read_hand_spec(own_hands / "gadget.right.toml").neutral == discover(path).spec.neutral
     built_in = written(tmp_path, urdf(make_hand(1).parts), "shadow_hand.urdf")
     add(built_in, "--json")
-    assert (folder / "my_shadow_hand.right.toml").is_file()
+    assert (own_hands / "my_shadow_hand.right.toml").is_file()
     capsys.readouterr()
 
 
-def test_options_that_make_no_sense_are_said_to(tmp_path, folder):
+def test_options_that_make_no_sense_are_said_to(tmp_path, own_hands):
     hand = make_hand(1)
     path = written(tmp_path, urdf(hand.parts))
     last = hand.truth.tips[1][0]
@@ -452,10 +437,10 @@ def test_options_that_make_no_sense_are_said_to(tmp_path, folder):
             add(path, "--json", *option)
     with pytest.raises(HandModelError, match="can't be named"):
         add(path, "--json", "--name", "a/b")
-    assert not folder.exists()
+    assert not own_hands.exists()
 
 
-def test_the_page_is_opened_on_request(tmp_path, folder, monkeypatch, capsys):
+def test_the_page_is_opened_on_request(tmp_path, own_hands, monkeypatch, capsys):
     from smooth_operator.cli import hands_show
 
     shown: list[Any] = []
@@ -464,6 +449,6 @@ def test_the_page_is_opened_on_request(tmp_path, folder, monkeypatch, capsys):
     add(path, "--view", "--port", "0", "--no-browser")
     add(path)
     assert [(s.hand, s.port, s.no_browser) for s in shown] == [
-        (str(folder / "gadget.right.toml"), 0, True)
+        (str(own_hands / "gadget.right.toml"), 0, True)
     ]
     capsys.readouterr()

@@ -14,7 +14,7 @@ from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hand_discovery import check_hand
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_discovery.landmarks import UNSURE, Discovery, Overrules
-from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hand_files.user_hands import save_hand
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import Point
@@ -131,17 +131,16 @@ def test_an_equality_and_a_tendon_on_two_jaws_leave_one_motor(tmp_path):
     assert hand.actuated_names == ("rf",)
 
 
-def test_either_side_loads_a_gripper(tmp_path, monkeypatch):
+def test_either_side_loads_a_gripper(tmp_path, own_hands):
     """Its model has no mirror image, so one with meshes loads as well."""
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
     found = found_jaw(tmp_path)
-    write_hand_spec(found.spec, tmp_path / f"{found.spec.name}.right.toml")
+    file = save_hand(found.spec)
     right, left = (load_hand(found.spec.name, side) for side in ("right", "left"))
     assert (right.spec.side, left.spec.side) == ("right", "left")
     assert not left.spec.mirror
     places = [hand.landmark_positions(hand.neutral) for hand in (right, left)]
     np.testing.assert_array_equal(*places)
-    text = (tmp_path / f"{found.spec.name}.right.toml").read_text()
+    text = file.read_text()
     assert f"gripper = {toml_value(True)}\n" in text
     (tmp_path / "three.toml").write_text(text.replace("[fingers.index]", "[fingers.ring]"))
     with pytest.raises(HandModelError):  # align names the index finger

@@ -1,8 +1,6 @@
 """Model files and spec files that are damaged, hostile, or in another encoding."""
 
-import os
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -196,15 +194,3 @@ def test_mutants_are_read_or_refused(kind, reader, tmp_path):
 
     each(damaged_xml(text.encode()), count, read)
     assert outcomes == {"read", "refused"}
-
-
-@pytest.mark.shared
-@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
-def test_what_once_hung_is_refused(shared, reader, tmp_path):
-    files = sorted((shared / "findings" / "crashers").glob("hands_add_HANG_*"))
-    assert files
-    os.mkfifo(tmp_path / "fifo.stl")
-    for file in files:
-        (copy := tmp_path / f"hand{file.suffix}").write_bytes(file.read_bytes())
-        verdict = reader.read("hostile_files:discovery", copy)
-        assert (verdict.sound, verdict.outcome) == (True, "refused"), (file, verdict)

@@ -29,6 +29,8 @@ from smooth_operator.retargeting.targets import KeyvectorLayout
 from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror, pose_hand
 
+pytestmark = pytest.mark.usefixtures("own_hands")
+
 NAMES = hand_names()
 SHAPED = tuple(name for name in NAMES if name not in GRIPPERS)
 """Hands that are shaped as a human's."""
@@ -49,11 +51,6 @@ ALIKE = {  # hands with a file for each side; how far their landmarks are from m
 }
 LATER = tuple(name for name in NAMES if name in ALIKE or name == "linker_l10")
 """Hands whose published models are not beside the checkout, to be compared with."""
-
-
-@pytest.fixture(autouse=True)
-def no_hands_of_the_user(tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
 
 
 def human(side: str) -> np.ndarray:

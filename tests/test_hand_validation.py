@@ -40,6 +40,8 @@ from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import JointCommand, Result, Status
 
+pytestmark = pytest.mark.usefixtures("own_hands")
+
 ALLEGRO = load_hand("allegro_hand").spec
 BASICS = {
     "size",
@@ -58,11 +60,6 @@ BASICS = {
 SIDES = [(name, side) for name in hand_names() for side in ("right", "left")]
 EVERY_RUN = (("allegro_hand", "left"), ("inspire_hand", "left"), ("mimic_p050", "right"))
 """Hands of each run of the tests; the weekly run checks all."""
-
-
-@pytest.fixture(autouse=True)
-def no_hands_of_the_user(tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
 
 
 def basics(hand: str | Hand | HandSpec, side: str | None = None) -> HandValidation:

@@ -172,16 +172,14 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def run(run, tmp_path, monkeypatch) -> Run:
+def run(run, elsewhere, own_hands, monkeypatch) -> Run:
     """Runs the command in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
     return functools.partial(run, "hands", "add")
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_can_not_be_used_is_refused_in_a_line(run, tmp_path, what):
+def test_what_can_not_be_used_is_refused_in_a_line(run, tmp_path, own_hands, what):
     name, content, message = REFUSED[what]
     (tmp_path / name).write_text(content, encoding="utf-8")
     status, out, err = run(name, *OPTIONS.get(what, ()))
@@ -189,7 +187,7 @@ def test_what_can_not_be_used_is_refused_in_a_line(run, tmp_path, what):
     assert (status, out, len(said)) == (2, "", 1), err
     assert re.search(message, said[0]), said[0]
     assert "Traceback" not in err
-    assert not (tmp_path / "hands").exists()
+    assert not own_hands.exists()
 
 
 def test_a_file_that_is_not_there_and_a_folder(run, tmp_path):
@@ -257,14 +255,14 @@ def test_names_that_no_file_can_have(run, tmp_path):
     assert load_hand("y" * 100).fingers[0] == "thumb"
 
 
-def test_a_hand_that_would_be_a_guess_is_refused(run, tmp_path):
+def test_a_hand_that_would_be_a_guess_is_refused(run, tmp_path, own_hands):
     """One line names every guess and its option; with these, the hand is added and is sound."""
     (tmp_path / "h.urdf").write_text(urdf(tuple(odd_hands.opposed_pairs().parts)))
     status, out, err = run("h.urdf", "--name", "pairs")
     assert (status, out, err.count("is only a guess")) == (2, "", 2), err
     assert re.search(r"the thumb is only a guess .* set it with --thumb BODY", err)
     assert re.search(r"the wrist is only a guess .* set it with --wrist BODY:x,y,z", err)
-    assert not (tmp_path / "hands").exists()
+    assert not own_hands.exists()
     status, _, err = run("h.urdf", "--name", "pairs", "--thumb", "a1")
     assert (status, "thumb is only" in err, "wrist is only" in err) == (2, False, True)
     text = urdf(odd_hands.spread_around().model("right", 0).parts)
@@ -312,16 +310,15 @@ def test_missing_meshes_are_a_note_and_no_obstacle(run, tmp_path, form):
     assert load_hand("gadget").fingers[0] == "thumb"
 
 
-def test_a_deprecated_attribute_of_masses_is_no_news(tmp_path):
+def test_a_deprecated_attribute_of_masses_is_no_news(tmp_path, own_hands):
     text = XML.replace('<compiler angle="radian"', '<compiler settotalmass="1" angle="radian"')
     assert "settotalmass" in text
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets/robot.xml").write_text(text)
     words = ("-m", "smooth_operator", "hands", "add", "assets/robot.xml")
-    env = os.environ | {"SMOOTH_OPERATOR_HANDS": str(tmp_path / "hands")}
-    done = python(*words, cwd=tmp_path, env=env, check=True)
+    done = python(*words, cwd=tmp_path, check=True)
     assert done.stderr == ""
-    (spec,) = (tmp_path / "hands").glob("*.toml")
+    (spec,) = own_hands.glob("*.toml")
     assert not spec.name.startswith(("assets", "robot"))  # a name that says something
 
 

@@ -19,13 +19,7 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch) -> Path:
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
-    return tmp_path / "hands"
-
-
-@pytest.fixture
-def run(run, folder) -> Run:
+def run(run, own_hands) -> Run:
     return functools.partial(run, "hands")
 
 
@@ -41,7 +35,7 @@ def package(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_hand_survives_that_its_model_is_moved(run, folder, tmp_path):
+def test_a_hand_survives_that_its_model_is_moved(run, own_hands, tmp_path):
     file = package(tmp_path)
     assert load_model(file).model.nmesh == 1
     status, out, _ = run("add", file, "--name", "claw")
@@ -54,17 +48,17 @@ def test_a_hand_survives_that_its_model_is_moved(run, folder, tmp_path):
     assert after.unreadable == ()
     np.testing.assert_array_equal(after.align_points, before.align_points)
     # the whole folder may be moved as well
-    (file,) = folder.glob("claw.*.toml")
+    (file,) = own_hands.glob("claw.*.toml")
     assert 'model = "models/' in file.read_text(encoding="utf-8")
     # adding it again from its new place is no other hand
     moved = tmp_path / "elsewhere" / "urdf" / "claw.urdf"
     assert run("add", moved, "--name", "claw")[0] == 0
 
 
-def test_in_place_copies_nothing_and_a_lost_model_is_said_with_its_cure(run, folder, tmp_path):
+def test_in_place_copies_nothing_and_a_lost_model_is_said_with_its_cure(run, own_hands, tmp_path):
     file = package(tmp_path)
     assert run("add", file, "--name", "claw", "--in-place")[0] == 0
-    assert not (folder / "models").exists()
+    assert not (own_hands / "models").exists()
     shutil.move(tmp_path / "vendor", tmp_path / "elsewhere")
     status, _, err = run("show", "claw", "--no-view")
     assert status == 2
@@ -91,7 +85,7 @@ def test_model_files_are_those_of_mjcf_with_includes(tmp_path):
     assert sorted(p.name for p in (tmp_path / "to").iterdir()) == ["there"]  # no leftovers
 
 
-def test_remove_takes_the_hand_and_leaves_the_users_model(run, folder, tmp_path):
+def test_remove_takes_the_hand_and_leaves_the_users_model(run, own_hands, tmp_path):
     file = package(tmp_path)
     assert run("add", file, "--name", "claw")[0] == 0
     assert "claw" in hand_names()
@@ -103,12 +97,12 @@ def test_remove_takes_the_hand_and_leaves_the_users_model(run, folder, tmp_path)
     assert status == 0
     assert "claw" in out
     assert "claw" not in hand_names()
-    assert not list(folder.rglob("claw*"))
+    assert not list(own_hands.rglob("claw*"))
     assert file.is_file()
     assert (file.parent.parent / "meshes" / "box.stl").is_file()
 
 
-def test_remove_of_what_is_not_ones_own(run, folder, tmp_path):
+def test_remove_of_what_is_not_ones_own(run, tmp_path):
     assert run("add", package(tmp_path), "--name", "claw")[0] == 0
     status, _, err = run("remove", "clow", "--yes")
     assert (status, "Did you mean 'claw'" in err) == (2, True)
@@ -122,8 +116,8 @@ def test_remove_of_what_is_not_ones_own(run, folder, tmp_path):
     assert "claw" not in hand_names()
 
 
-def test_a_broken_description_can_be_removed(run, folder):
-    folder.mkdir()
-    (folder / "torn.right.toml").write_text("format =", encoding="utf-8")
+def test_a_broken_description_can_be_removed(run, own_hands):
+    own_hands.mkdir()
+    (own_hands / "torn.right.toml").write_text("format =", encoding="utf-8")
     assert run("remove", "torn", "--yes")[0] == 0
-    assert not list(folder.iterdir())
+    assert not list(own_hands.iterdir())

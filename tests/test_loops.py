@@ -17,7 +17,7 @@ from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.landmarks import FINGERS
 from smooth_operator_devices.hands.actuator_map import BoundMap, find_table, read_table
 
-pytestmark = pytest.mark.usefixtures("elsewhere")
+pytestmark = pytest.mark.usefixtures("elsewhere", "own_hands")
 
 
 class ClosedLoops:
@@ -102,10 +102,9 @@ def leaders_of(loops: ClosedLoops, hand: Hand) -> np.ndarray:
     return q
 
 
-def added(run, path: Path, monkeypatch, *options: str) -> dict:
-    """What ``hands add --json`` prints; the hands are in a folder beside the model."""
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(path.parent / "own hands"))
-    status, out, err = run("hands", "add", str(path), "--json", *options)
+def added(run, path: Path) -> dict:
+    """What ``hands add --json`` prints."""
+    status, out, err = run("hands", "add", str(path), "--json")
     assert status == 0, err
     return json.loads(out)
 
@@ -119,10 +118,10 @@ HANDS = {
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_fingertips_are_where_the_closed_loops_have_them(run, tmp_path, monkeypatch, name):
+def test_fingertips_are_where_the_closed_loops_have_them(run, tmp_path, name):
     path = tmp_path / f"{name}.xml"
     path.write_text(HANDS[name]())
-    told = added(run, path, monkeypatch)
+    told = added(run, path)
     assert told["side"] == "right"
     assert [finger["name"] for finger in told["fingers"]] == list(FINGERS)
     hand = so.load_hand(name, "right")
@@ -130,10 +129,10 @@ def test_fingertips_are_where_the_closed_loops_have_them(run, tmp_path, monkeypa
     assert worst_tip_error(path, hand, 12) < 0.5e-3
 
 
-def test_bars_become_polynomials_in_the_spec_file(run, tmp_path, monkeypatch):
+def test_bars_become_polynomials_in_the_spec_file(run, tmp_path):
     path = tmp_path / "four_bar.xml"
     path.write_text(four_bar_hand())
-    told = added(run, path, monkeypatch)
+    told = added(run, path)
     assert told["model"] == str(path)
     assert "copy of the model has no closed loops: 4 links of the drive" in told["notes"][0]
     assert told["confidence"]["coupled"] == 0.9
@@ -155,11 +154,11 @@ def test_bars_become_polynomials_in_the_spec_file(run, tmp_path, monkeypatch):
     assert values["cosine_similarity"] > 0.5
 
 
-def test_the_motors_ranges_limit_the_leaders(run, tmp_path, monkeypatch):
+def test_the_motors_ranges_limit_the_leaders(run, tmp_path):
     """The MCP joints of the file have no range; the crank's is -0.2 to 1.5 rad."""
     path = tmp_path / "crank.xml"
     path.write_text(crank_hand())
-    added(run, path, monkeypatch)
+    added(run, path)
     hand = so.load_hand("crank", "right")
     loops, reached = ClosedLoops(path), []
     for angle in np.linspace(*loops.model.jnt_range[loops.motors[0]], 15):
@@ -170,7 +169,7 @@ def test_the_motors_ranges_limit_the_leaders(run, tmp_path, monkeypatch):
     assert "index_motor" not in hand.joint_names
 
 
-def test_joints_that_follow_a_joint_of_a_loop_still_do(run, tmp_path, monkeypatch):
+def test_joints_that_follow_a_joint_of_a_loop_still_do(run, tmp_path):
     """A DIP joint outside the loop follows the PIP joint, which gets a polynomial."""
     path = tmp_path / "more.xml"
     text = four_bar_hand()
@@ -184,22 +183,21 @@ def test_joints_that_follow_a_joint_of_a_loop_still_do(run, tmp_path, monkeypatc
         )
         tied += f'<joint joint1="{finger}_dip" joint2="{finger}_pip" polycoef="0 0.5 0 0 0"/>'
     path.write_text(text.replace("<equality>", f"<equality>{tied}"))
-    added(run, path, monkeypatch)
+    added(run, path)
     hand = so.load_hand("more", "right")
     every = dict(zip(hand.joint_names, hand.full_configuration(hand.limits[:, 1]), strict=True))
     assert every["ring_dip"] == pytest.approx(0.5 * every["ring_pip"]) != 0
     assert worst_tip_error(path, hand, 4) < 0.5e-3
 
 
-def test_a_loop_that_no_polynomial_fits_is_refused_with_its_error(run, tmp_path, monkeypatch):
+def test_a_loop_that_no_polynomial_fits_is_refused_with_its_error(run, tmp_path, own_hands):
     path = tmp_path / "steep.xml"
     path.write_text(four_bar_hand(0.004, -0.002, most=1.5))
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "own"))
     status, _, err = run("hands", "add", str(path))
     assert status == 2
     assert "joint 'index_pip' of a closed loop is not a polynomial of one other joint" in err
     assert "is up to 0.8 degrees off, more than 0.5" in err
-    assert not (tmp_path / "own").exists()
+    assert not own_hands.exists()
 
 
 @pytest.mark.parametrize(
@@ -248,12 +246,9 @@ AMAZING = "hands_new/amazing_hand/mjcf/robot.xml"
 
 
 @pytest.mark.shared
-def test_the_amazing_hand_is_a_right_hand_of_four_fingers(run, shared, tmp_path, monkeypatch):
+def test_the_amazing_hand_is_a_right_hand_of_four_fingers(run, shared):
     """Two ball-jointed rods move each finger: 8 motors, 12 ball joints, 20 connections."""
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
-    status, out, err = run("hands", "add", str(shared / AMAZING), "--json")
-    assert status == 0, err
-    told = json.loads(out)
+    told = added(run, shared / AMAZING)
     assert (told["name"], told["side"]) == ("my_amazing_hand", "right")
     assert [finger["name"] for finger in told["fingers"]] == ["thumb", "index", "middle", "ring"]
     assert min(finger["confidence"] for finger in told["fingers"]) > 0.8

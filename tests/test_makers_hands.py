@@ -21,10 +21,8 @@ Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def clone(tmp_path, monkeypatch) -> Path:
+def clone(tmp_path, elsewhere, own_hands, monkeypatch) -> Path:
     """Clone of a made-up maker's repository with one right hand, which the catalogue names."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
     entry = {
         "maker": "Acme",
         "repository": "https://example.org/acme/models",

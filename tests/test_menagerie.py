@@ -32,7 +32,7 @@ from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.player import Playback, Scene
 from smooth_operator.teleop.pages.scene import RobotLooks
 from smooth_operator.teleop.pages.viser_server import open_server
-from smooth_operator.types import CommandTrajectory, Side
+from smooth_operator.types import Side
 
 HANDS: tuple[tuple[str, Side, str], ...] = (
     ("allegro_hand", "right", "wonik_allegro_hand"),
@@ -129,30 +129,13 @@ def test_without_the_package_one_line_says_how_to_install_it(monkeypatch, capsys
     assert not output.exists()
 
 
-def run_of(hand: Hand, folder: Path) -> tuple[Path, Path, np.ndarray]:
-    """Commands and the recording that they answer, as files, and the joint positions (T, n)."""
-    recording = SyntheticOperator(seed=4).record(duration=0.2)
-    rng = np.random.default_rng(0)
-    low, high = hand.limits.T
-    share = rng.uniform(0.3, 0.7, (len(recording), len(low)))
-    positions = hand.full_configuration(low + share * (high - low))
-    commands = CommandTrajectory(
-        joint_positions=positions,
-        joint_names=hand.joint_names,
-        stamps=recording.stamps,
-        latency_ms=np.full(len(recording), 1.0),
-        status=np.zeros(len(recording), np.int8),
-    )
-    out, glove = folder / "out.npz", folder / "glove.npz"
-    write_commands(out, commands, {"hand": hand.name})
-    np.savez(glove, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
-    return out, glove, positions
-
-
 def test_a_run_plays_on_the_vendors_model(root, tmp_path, monkeypatch):
     vendors(root / "shadow_hand")
-    hand = load_hand("shadow_hand")
-    out, glove, positions = run_of(hand, tmp_path)
+    hand, recording = load_hand("shadow_hand"), SyntheticOperator(seed=4).record(duration=0.2)
+    commands, _ = Retargeter(hand, method="joint_angle").run(recording)
+    out, glove = tmp_path / "out.npz", tmp_path / "glove.npz"
+    write_commands(out, commands, {"hand": hand.name})
+    np.savez(glove, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
     pages: list[Playback] = []
     monkeypatch.setattr("smooth_operator.teleop.pages.serve", lambda runs, **_: pages.extend(runs))
     for model in (["--no-meshes"], ["--model", "menagerie"], []):
@@ -161,7 +144,7 @@ def test_a_run_plays_on_the_vendors_model(root, tmp_path, monkeypatch):
     assert plain is None
     assert here.model.nq == real.model.nq == hand.model.nq + 2
     assert real.model.nmesh == 1
-    np.testing.assert_array_equal(pages[1].trace.joint_positions, positions)
+    np.testing.assert_array_equal(pages[1].trace.joint_positions, commands.joint_positions)
 
 
 def test_a_model_of_another_hand_is_refused_before_any_work(tmp_path, capsys, monkeypatch):

@@ -300,8 +300,7 @@ def test_mujocos_warnings_appear_once(tmp_path, caplog):
     assert len(texts) == len(set(texts))
 
 
-def test_a_hand_of_one_side_has_that_side_by_default(tmp_path, monkeypatch):
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
+def test_a_hand_of_one_side_has_that_side_by_default(tmp_path, own_hands):
     path = ros_package(tmp_path / "lefty", "package://lefty/meshes/box.stl", side="left")
     assert main(["hands", "add", str(path), "--name", "lefty"]) == 0
     assert load_hand("lefty").spec.side == "left"

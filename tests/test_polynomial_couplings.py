@@ -181,8 +181,7 @@ def test_bad_coefficients_in_a_spec_file_are_refused(hand, tmp_path, text):
         read_hand_spec(tmp_path / "hand.toml")
 
 
-def test_hands_add_couples_by_a_polynomial(run, tmp_path, monkeypatch):
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
+def test_hands_add_couples_by_a_polynomial(run, tmp_path, own_hands):
     path = tmp_path / "curved.xml"
     path.write_text(polynomial_hand())
     status, out, err = run(

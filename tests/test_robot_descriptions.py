@@ -16,12 +16,10 @@ URDF_PATH = {path!r}
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch) -> Path:
+def package(tmp_path, elsewhere, own_hands, monkeypatch) -> Path:
     """A package with a hand, one whose download fails, and one without a model."""
     for name in [n for n in sys.modules if n.partition(".")[0] == "robot_descriptions"]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
-    monkeypatch.chdir(tmp_path)
     model = tmp_path / "cache/gadget_repository/gadget.urdf"
     model.parent.mkdir(parents=True)
     model.write_text(urdf(make_hand(3).parts))

@@ -30,6 +30,8 @@ from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_page import HandPage
 from smooth_operator.teleop.pages.hand_view import HandView
 
+pytestmark = pytest.mark.usefixtures("own_hands")
+
 TEXT = """
 format = 1
 name = "pincer"
@@ -52,14 +54,6 @@ tip = { body = "i3", offset = [0.0, 0.0, 0.02] }
 [neutral]
 i1 = 0.3
 """
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch) -> Path:
-    """The user's folder of a user who has no hands yet."""
-    folder = tmp_path / "hands of ünser user"
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(folder))
-    return folder
 
 
 def written(tmp_path: Path, text: str = TEXT) -> Path:
@@ -204,10 +198,10 @@ def test_specs_that_cannot_be_written(tmp_path):
     assert not (tmp_path / "a.toml").exists()
 
 
-def test_a_users_hand_is_found_by_name(tmp_path, folder):
+def test_a_users_hand_is_found_by_name(tmp_path, own_hands):
     assert "pincer" not in hand_names()
     file = save_hand(pincer(tmp_path))
-    assert file == folder / "pincer.right.toml"
+    assert file == own_hands / "pincer.right.toml"
     assert hand_names()[-1] == "pincer"
     entry = known_hands()["pincer"]
     assert (entry.builtin, entry.mirrored, entry.files) == (False, ("left",), {"right": file})
@@ -229,21 +223,21 @@ def test_a_spec_file_has_a_side(tmp_path):
     assert (right.spec.side, right.spec.mirror) == ("right", True)
 
 
-def test_built_in_names_are_refused(tmp_path, folder):
+def test_built_in_names_are_refused(tmp_path, own_hands):
     mine = replace(pincer(tmp_path), name="shadow_hand")
     with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*a different name"):
         save_hand(mine)
-    folder.mkdir()
-    write_hand_spec(mine, folder / "shadow_hand.right.toml")
+    own_hands.mkdir()
+    write_hand_spec(mine, own_hands / "shadow_hand.right.toml")
     with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand, so .*right.toml"):
         load_hand("shadow_hand", "left")
     assert load_hand("mimic_p050").name == "mimic_p050"
     assert hand_names().count("shadow_hand") == 1
 
 
-def test_a_file_that_describes_another_hand(tmp_path, folder):
-    folder.mkdir()
-    write_hand_spec(pincer(tmp_path), folder / "claw.right.toml")
+def test_a_file_that_describes_another_hand(tmp_path, own_hands):
+    own_hands.mkdir()
+    write_hand_spec(pincer(tmp_path), own_hands / "claw.right.toml")
     with pytest.raises(
         HandModelError, match=r"the right hand 'pincer', but its file name says .* 'claw'"
     ):
@@ -269,9 +263,9 @@ def run(*arguments: str) -> None:
     tyro.cli(Hands, args=arguments, config=(tyro.conf.FlagCreatePairsOff,)).run()
 
 
-def test_the_list(tmp_path, folder, capsys):
+def test_the_list(tmp_path, own_hands, capsys):
     save_hand(replace(pincer(tmp_path), source="[our] lab"))
-    (folder / "broken.left.toml").write_text("format = 1")
+    (own_hands / "broken.left.toml").write_text("format = 1")
     run("list")
     text = capsys.readouterr().out
     for words in (
@@ -285,7 +279,7 @@ def test_the_list(tmp_path, folder, capsys):
         assert words in text, words
     run("list", "--json")
     listed = json.loads(capsys.readouterr().out)
-    assert listed["folder"] == str(folder)
+    assert listed["folder"] == str(own_hands)
     hands = {hand["name"]: hand for hand in listed["hands"]}
     assert tuple(hands) == hand_names()
     assert hands["inspire_hand"]["actuated"] == 6

@@ -144,8 +144,7 @@ def test_it_is_said_where_a_folder_is_retargeted(tmp_path, capfd):
 
 
 @pytest.mark.shared
-def test_it_is_said_where_a_hand_is_added(shared, tmp_path, monkeypatch, capfd):
-    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
+def test_it_is_said_where_a_hand_is_added(shared, own_hands, capfd):
     file = shared / "hands_urdf" / "leap_hand" / "leap_hand_right.urdf"
     assert main(["hands", "add", str(file), "--name", "bare_leap"]) == 0
     said = capfd.readouterr().out
