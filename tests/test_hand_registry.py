@@ -147,17 +147,6 @@ def test_tips_are_at_the_end_of_their_fingers(name):
         assert abs(min(distances, key=abs)) < 0.003, (finger.name, distances)
 
 
-@pytest.mark.parametrize("name", MIRRORED)
-def test_mirrored_hands_are_mirror_images(name):
-    right, left = load_hand(name, "right"), load_hand(name, "left")
-    assert right.joint_names == left.joint_names
-    np.testing.assert_array_equal(right.limits, left.limits)
-    q = limited_poses(np.random.default_rng(1), right.limits, 100)
-    np.testing.assert_allclose(
-        left.landmark_positions(q), right.landmark_positions(q) * (-1, 1, 1), atol=1e-12
-    )
-
-
 @pytest.mark.parametrize("name", ALIKE)
 def test_separately_published_sides_are_nearly_mirror_images(name):
     """The two sides were written down from two files, so a slip in one of them shows."""

@@ -17,7 +17,6 @@ from smooth_operator.errors import HandModelError, MissingExtraError
 from smooth_operator.extras import install_command
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.vendor_model import (
-    drawn_on,
     hand_with_meshes,
     has_meshes,
     menagerie_file,
@@ -95,7 +94,7 @@ def test_a_hand_of_the_package_is_the_same_hand(root):
     path = vendors(root / "shadow_hand")
     hand = load_hand("shadow_hand")
     assert menagerie_file(hand) == path
-    there = drawn_on(hand, "menagerie")
+    there = hand_with_meshes(hand, "menagerie")
     assert there.model.nmesh == 1
     assert there.model.njnt == hand.model.njnt + 2
     assert there.joint_names == hand.joint_names
@@ -106,11 +105,11 @@ def test_a_hand_of_the_package_is_the_same_hand(root):
 
 def test_what_the_package_has_not_is_said(root, capsys):
     with pytest.raises(HandModelError, match=r"no model of the right hand 'mimic_p050', only of"):
-        drawn_on(load_hand("mimic_p050"), "menagerie")
+        hand_with_meshes(load_hand("mimic_p050"), "menagerie")
     with pytest.raises(HandModelError, match="no model of the left hand 'shadow_dexee'"):
-        drawn_on(load_hand("shadow_dexee", "left"), "menagerie")
+        hand_with_meshes(load_hand("shadow_dexee", "left"), "menagerie")
     with pytest.raises(HandModelError, match=r"can't be downloaded.*MENAGERIE_ROOT"):
-        drawn_on(load_hand("shadow_hand"), "menagerie")
+        hand_with_meshes(load_hand("shadow_hand"), "menagerie")
     status = main(["hands", "show", "orca_v2", "--model", "menagerie", "--no-view"])
     assert status == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -119,7 +118,7 @@ def test_what_the_package_has_not_is_said(root, capsys):
 def test_without_the_package_one_line_says_how_to_install_it(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
     with pytest.raises(MissingExtraError):
-        drawn_on(load_hand("shadow_hand"), "menagerie")
+        hand_with_meshes(load_hand("shadow_hand"), "menagerie")
     output = tmp_path / "s.png"
     arguments = ["hands", "render", "shadow_hand", "--model", "menagerie", "--output", str(output)]
     assert main(arguments) == 2
@@ -189,7 +188,7 @@ def test_meshes_lie_where_the_simple_shapes_do(shared, root, name, side, folder)
     (root / folder).symlink_to(shared / "hands" / folder)
     (root / folder.removesuffix("_hand")).symlink_to(shared / "hands" / folder)
     hand = load_hand(name, side)
-    there = drawn_on(hand, "menagerie")
+    there = hand_with_meshes(hand, "menagerie")
     assert there.joint_names == hand.joint_names
     simple, real = HandView(hand), HandView(there)
     low, high = hand.limits.T
@@ -318,7 +317,7 @@ def test_large_meshes_are_made_coarser():
 
 def test_a_hand_of_meshes_alone_has_simple_shapes(root):
     """As a user's own, which has no other shapes: its capsules are drawn."""
-    there = load_hand_spec(drawn_on(load_hand("shadow_hand"), vendors(root / "v")).spec)
+    there = load_hand_spec(hand_with_meshes(load_hand("shadow_hand"), vendors(root / "v")).spec)
     simple = HandView(there, simple=True).meshes
     assert set(HandView(there).finger_of_body[list(simple)]) == {-1, 0, 1, 2, 3, 4}
     palm = simple[there.model.body("palm").id]

@@ -59,7 +59,7 @@ def demo(options: Demo) -> None:
     from smooth_operator.cli.sample import synthetic_operator
     from smooth_operator.cli.session import execute_shown
     from smooth_operator.execution import measure
-    from smooth_operator.hand_files.vendor_model import drawn_on
+    from smooth_operator.hand_files.vendor_model import hand_with_meshes
     from smooth_operator.hands.registry import default_side
     from smooth_operator.planning import configuration, make_request, plan
 
@@ -74,7 +74,7 @@ def demo(options: Demo) -> None:
     operator = synthetic_operator(options, options.seed, default_side(request.hand))
     todo = plan(operator.record(options.duration), request)
     if options.model is not None:
-        drawn_on(todo.hand, options.model)
+        hand_with_meshes(todo.hand, options.model)
     with folder_for(options.output):
         outcome = execute_shown(todo, progress)
         with progress.waiting("measuring"):

@@ -324,7 +324,12 @@ def _trial(spec: HandSpec) -> tuple[Hand | None, tuple[str, ...]]:
 
 def _leader_note(hand: Hand) -> str | None:
     """Note on a joint beyond the second of its finger that follows a joint of another finger."""
-    chains = {finger.name: _chain(hand, finger.tip.body) for finger in hand.spec.fingers}
+    from smooth_operator.hand_discovery.checks import movers
+
+    chains = {
+        finger: [hand.joint_names[j] for j in movers(hand, tip)]
+        for finger, tip in zip(hand.fingers, hand.tip_names, strict=True)
+    }
     for c in () if hand.spec.gripper else hand.couplings:
         own = {name for name, chain in chains.items() if c.joint in chain[2:]}
         other = {name for name, chain in chains.items() if c.follows in chain}
@@ -334,17 +339,6 @@ def _leader_note(hand: Hand) -> str | None:
                 f"{min(other)} finger: check that, and correct it with --couple"
             )
     return None
-
-
-def _chain(hand: Hand, body: str) -> list[str]:
-    """Names of the joints from the palm to a body."""
-    model, chain = hand.model, []
-    at, palm = model.body(body).id, model.body(hand.spec.palm).id
-    while at not in (0, palm):
-        first = model.body_jntadr[at]
-        chain += [model.joint(j).name for j in range(first, first + model.body_jntnum[at])][::-1]
-        at = model.body_parentid[at]
-    return chain[::-1]
 
 
 def _motors_note(hand: Hand) -> str | None:

@@ -156,7 +156,7 @@ def _gripper(
         name=name or hand_name(path),
         side=side or "right",
         model=model_path(path),
-        palm=skeleton.body_name(jaws.palm),
+        palm=skeleton.body_name(chain.palm),
         wrist=jaws.wrist,
         fingers=jaws.fingers,
         align=_align(("thumb", "index")),

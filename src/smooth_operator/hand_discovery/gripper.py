@@ -34,7 +34,6 @@ class Jaws:
     """The moving jaw and the fixed jaw of a gripper.
 
     Attributes:
-        palm: body that carries both.
         fingers: ``thumb``, the fixed jaw, and ``index``, the moving one.
         wrist: a point behind both.
         neutral: joint -> position in which the gripper is partly open [rad or m].
@@ -42,7 +41,6 @@ class Jaws:
         evidence: reasons for the pads.
     """
 
-    palm: int
     fingers: tuple[FingerSpec, FingerSpec]
     wrist: Point
     neutral: dict[str, float]
@@ -107,14 +105,15 @@ def find_jaws(skeleton: Skeleton, chain: Chain, overrules: Overrules) -> Jaws:
     outer, reach = _outer(skeleton, at, chain, jaw, fixed)
     low, high = skeleton.limits[joint]
     sweep = np.linspace(low, high, _STEPS)
-    places = [_posed(skeleton, joint, value) for value in sweep]
+    name = skeleton.joint_names[joint]
+    places = [skeleton.place(skeleton.posed({name: value})) for value in sweep]
     surface = cKDTree(fixed)
     gaps = np.array([surface.query(p.world(chain.last, outer))[0].min() for p in places])
     if gaps[0] > gaps[-1]:  # from closed to open
         sweep, places, gaps = sweep[::-1], places[::-1], gaps[::-1]
     if gaps[-1] - gaps.min() < _CLOSES * reach:
         raise HandModelError(
-            f"joint {skeleton.joint_names[joint]!r} changes the gap between "
+            f"joint {name!r} changes the gap between "
             f"{skeleton.body_name(chain.last)!r} and {skeleton.body_name(chain.palm)!r} by only "
             f"{(gaps[-1] - gaps.min()) * 1e3:.0f} mm; expected the joint of a jaw that closes "
             "against the body that carries it"
@@ -169,19 +168,12 @@ def find_jaws(skeleton: Skeleton, chain: Chain, overrules: Overrules) -> Jaws:
     )
     neutral = sweep[k] + _NEUTRAL * (sweep[-1] - sweep[k])
     return Jaws(
-        chain.palm,
         fingers,
         wrist,
-        {skeleton.joint_names[joint]: round(float(neutral), 4)},
+        {name: round(float(neutral), 4)},
         1.0 if given else 0.85 if gaps[k] < _MEETS * reach else 0.6,
         (why,),
     )
-
-
-def _posed(skeleton: Skeleton, joint: int, value: float) -> Placement:
-    q = skeleton.reference.copy()
-    q[joint] = value
-    return skeleton.place(skeleton.coupled(q))
 
 
 def _points(

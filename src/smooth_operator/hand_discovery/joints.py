@@ -7,7 +7,6 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.checks import Check, Samples, Verdict, worst
@@ -43,7 +42,8 @@ _CROWDED_FINGERS: Final = 0.5
 def check_ranges(hand: Hand) -> Check:
     """Checks the range of each commanded joint, which reveals limits in degrees."""
     ranges = hand.limits[:, 1] - hand.limits[:, 0]
-    slides = np.array([_slides(hand, name) for name in hand.actuated_names])
+    kinds = hand.model.jnt_type[[hand.model.joint(name).id for name in hand.actuated_names]]
+    slides = kinds == int(mujoco.mjtJoint.mjJNT_SLIDE)
     named = dict(zip(hand.actuated_names, ranges, strict=True))
     figures = {name: round(float(width), 4) for name, width in named.items()}
     turns = ranges[~slides]
@@ -148,7 +148,7 @@ def check_neutral(hand: Hand) -> Check:
         # a mesh collides as its convex hull, which is larger than the part
         exact = not hand.model.nmesh
         verdicts.append("failed" if deepest > _DEEP and exact else "warning")
-    elif not _has_shapes(hand):
+    elif not hand.bodies[hand.model.geom_bodyid].any():
         texts.append("no shapes that could touch")
     else:
         texts.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
@@ -197,11 +197,6 @@ def check_shapes(samples: Samples) -> Check:
     return Check("shapes", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
 
 
-def _slides(hand: Hand, name: str) -> bool:
-    kind = int(hand.model.joint(name).type[0])
-    return kind == int(mujoco.mjtJoint.mjJNT_SLIDE)
-
-
 def _unit(slides: np.ndarray) -> str:
     return "m" if slides.all() else "rad or m" if slides.any() else "rad"
 
@@ -219,10 +214,6 @@ def _on_fingers(hand: Hand) -> set[str]:
         if model.body_parentid[body] in fingers:
             fingers.add(body)
     return {model.joint(j).name for j in range(model.njnt) if model.jnt_bodyid[j] in fingers}
-
-
-def _has_shapes(hand: Hand) -> bool:
-    return bool(hand.bodies[hand.model.geom_bodyid].any())
 
 
 def _list(names: list[str]) -> str:
@@ -245,7 +236,7 @@ def check_palm(samples: Samples) -> Check:
     """Checks that the landmarks of the palm define a frame and do not move."""
     hand = samples.hand
     condition = float(palm_alignment(reference_landmarks(hand), hand).condition)
-    used = [hand.tree.names.index(name) for name in _align_names(samples)]
+    used = [hand.tree.names.index(LANDMARKS[i]) for i in hand.align_indices]
     travel = float(np.ptp(samples.landmarks[:, used], axis=0).max())
     figures = {"condition": round(condition, 3), "travel_mm": round(1e3 * travel, 2)}
     align = ", ".join(hand.spec.align)
@@ -344,28 +335,19 @@ def check_size(samples: Samples) -> Check:
     return check("ok", text)
 
 
-def _align_names(samples: Samples) -> list[str]:
-    return [LANDMARKS[i] for i in samples.hand.align_indices]
-
-
 def palm_tilt_deg(hand: Hand) -> float:
     """Angle at their bases between the long fingers of a flat human hand, once aligned, and those
     of the robot [deg].
 
     Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
-    robot hand (``open_rays``) then point in different directions. If the angle is positive, a flat
-    human hand bends the robot's fingers towards the palm; if negative, towards the back.
+    robot hand then point in different directions. If the angle is positive, a flat human hand bends
+    the robot's fingers towards the palm; if negative, towards the back.
+
+    The joints of a flat robot hand are at zero, or as close to zero as their limits allow, because
+    vendors define the open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles
+    are often bent.
     """
     axes = human_palm_axes(hand)
-    rays = open_rays(hand)[1:]
+    rays = finger_rays(hand, np.clip(0.0, *hand.limits.T))[1:]
     fingers = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).mean(axis=0)
     return float(np.degrees(np.arctan2(-(fingers @ axes.palmar), fingers @ axes.distal)))
-
-
-def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
-    """(F, 3) vectors from base to tip of each finger of the open hand, in the palm frame [m].
-
-    Its joints are at zero, or as close to zero as their limits allow, because vendors define the
-    open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.
-    """
-    return finger_rays(hand, np.clip(0.0, *hand.limits.T))

@@ -111,12 +111,6 @@ def find_bending(
     return tuple(_bending(skeleton, chain, rest, ends, i) for i, chain in enumerate(chains))
 
 
-def tip_in(skeleton: Skeleton, tip: Tip, at: Placement) -> np.ndarray:
-    """Position of a fingertip in a pose, in the world frame [m]."""
-    body = int(skeleton.model.body(tip.point.body).id)
-    return at.world(body, np.array(tip.point.offset))
-
-
 def _bending(
     skeleton: Skeleton, chain: Chain, rest: Placement, ends: np.ndarray, i: int
 ) -> Bending:
@@ -223,7 +217,7 @@ def sample_reach(
     last, local, pads, axes = [], [], [], []
     for chain, tip, bend in zip(chains, tips, bends, strict=True):
         at = skeleton.place(bend.straight)
-        end = tip_in(skeleton, tip, at)
+        end = at.world(int(skeleton.model.body(tip.point.body).id), np.array(tip.point.offset))
         axis = bend.axis
         out = end - at.anchors[chain.joints[-1]]
         out = out - (out @ axis) * axis

@@ -173,20 +173,6 @@ _ENTRIES: Final[dict[tuple[str, Side], tuple[str, str]]] = {
 """Hand and side in the catalogue -> robot and entry point in the package."""
 
 
-def drawn_on(hand: Hand, model: str | Path) -> Hand:
-    """Loads a hand with a model that has the real meshes.
-
-    Args:
-        hand: a hand, not a mirrored one.
-        model: MJCF or URDF file of that hand, or ``MENAGERIE`` for the package's.
-
-    Raises:
-        HandModelError: there is no such model, or it is of another hand.
-        MissingExtraError: the package is requested and not installed.
-    """
-    return on_model(hand, menagerie_file(hand) if str(model) == MENAGERIE else model)
-
-
 def hand_with_meshes(hand: Hand, model: str | Path | None = None) -> Hand | None:
     """Loads a hand with its real meshes; without ``model``, nothing is downloaded.
 
@@ -202,7 +188,7 @@ def hand_with_meshes(hand: Hand, model: str | Path | None = None) -> Hand | None
         MissingExtraError: the package is requested and not installed.
     """
     if model is not None:
-        return drawn_on(hand, model)
+        return on_model(hand, menagerie_file(hand) if str(model) == MENAGERIE else model)
     if has_meshes(hand):
         return hand
     path = None if hand.spec.mirror else menagerie_copy(hand)

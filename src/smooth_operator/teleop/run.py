@@ -19,7 +19,7 @@ from smooth_operator.calibration.operator_file import (
 )
 from smooth_operator.errors import ConfigError, require
 from smooth_operator.hand_files.spec_writer import temporary_spec
-from smooth_operator.hand_files.vendor_model import drawn_on
+from smooth_operator.hand_files.vendor_model import hand_with_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec
@@ -257,7 +257,7 @@ class _Run:
             free_port(page.host, page.port)
             if page.model is not None:
                 for hand, _ in self.hands.values():
-                    drawn_on(hand, page.model)  # as later in the page's process
+                    hand_with_meshes(hand, page.model)  # as later in the page's process
         self.source.prepare()
 
     def _resolve(self, request: RetargetRequest) -> dict[Side, tuple[Hand, MethodConfig]]:
