@@ -278,6 +278,15 @@ def own_hands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def reader() -> Iterator[Any]:
+    """A process with limits that reads files, by readers of ``hostile_files`` among others."""
+    from fuzzing import ReaderProcess
+
+    with ReaderProcess([str(HOME / "tests")]) as process:
+        yield process
+
+
 @pytest.fixture
 def run(capfd: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs a command in this process: exit status, standard output and standard error."""

@@ -57,7 +57,6 @@ def make_hand(
     fingers: int = 5,
     side: str = "right",
     joints: int = 3,
-    tip_links: bool = False,
     shapes: bool = True,
     arm: int = 0,
     coupled: bool = False,
@@ -72,62 +71,43 @@ def make_hand(
     """
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.7, 1.5)
-    count = fingers - 1
-    parts: list[Part] = [
-        Part("palm", None, np.zeros(3), end=np.array([0, 0, 0.07]) * size, radius=0.02 * size)
-    ]
+    palm = f"{prefix}palm"
+    parts = [Part(palm, None, np.zeros(3), end=np.array([0, 0, 0.07]) * size, radius=0.02 * size)]
     tips: list[tuple[str, Vector]] = []
     label = iter(range(1000))
+    x, y, z = np.eye(3)
 
     def chain(base: Vector, steps: list[tuple[Vector, float, Vector, float]], last: Vector) -> None:
-        """Steps: (offset, reserved, axis, range); the last link ends at ``last``."""
-        parent, offset = "palm", base
-        leader = ""
+        """Steps: (way to the next joint, lower limit, axis, upper limit); the last link ends at
+        ``last``."""
+        parent, offset, leader = palm, base, ""
         for k, (following, low, axis, high) in enumerate(steps):
-            name, joint = f"b{next(label)}", f"j{next(label)}"
+            name, joint = f"{prefix}b{next(label)}", f"{prefix}j{next(label)}"
             axis = axis + rng.normal(0, 0.04, 3)
-            axis = axis / np.linalg.norm(axis)
             final = k == len(steps) - 1
-            mimic = None
-            if coupled and final and leader:
-                mimic = (leader, 0.9, 0.05)
             end = last if final else following
+            part = Part(name, parent, offset, axis=axis / np.linalg.norm(axis), joint=joint)
             drawn = end if np.linalg.norm(end) > 0.004 else None
-            parts.append(
-                Part(
-                    name,
-                    parent,
-                    offset,
-                    axis=axis,
-                    joint=joint,
-                    limits=(low, high),
-                    end=drawn,
-                    mimic=mimic,
-                )
-            )
+            mimic = (leader, 0.9, 0.05) if coupled and final and leader else None
+            parts.append(replace(part, limits=(low, high), end=drawn, mimic=mimic))
             parent, offset, leader = name, following, joint
         tips.append((parent, last))
 
     # thumb: turns about the length of the hand, then bends in a plane of its own
     length = 0.045 * size
     out = np.array([0.8, 0.0, 0.6])
-    inward = np.array([0.0, -1.0, 0.0])
-    bends = [(out * length * s, -0.1, inward, 1.3) for s in (1.0, 0.8)[: max(joints - 1, 1)]]
-    chain(
-        np.array([0.028, -0.012, 0.02]) * size,
-        [(out * 0.012 * size, -0.2, np.array([0.0, 0.0, -1.0]), 1.7), *bends],
-        out * length * 0.7,
-    )
-    for k in range(count):
-        across = 0.0 if count == 1 else 1 - 2 * k / (count - 1)
-        width = 0.009 * (count - 1)
+    bends = [(out * length * s, -0.1, -y, 1.3) for s in (1.0, 0.8)[: max(joints - 1, 1)]]
+    base = np.array([0.028, -0.012, 0.02]) * size
+    chain(base, [(out * 0.012 * size, -0.2, -z, 1.7), *bends], out * length * 0.7)
+    width = 0.009 * (fingers - 2)
+    for k in range(fingers - 1):
+        across = 0.0 if fingers == 2 else 1 - 2 * k / (fingers - 2)
         base = np.array([across * width, 0.0, 0.085 - 0.008 * across**2]) * size
         scale = size * rng.uniform(0.85, 1.1)
-        along = np.array([-0.0 + 0.08 * across, 0.0, 1.0])
+        along = np.array([0.08 * across, 0.0, 1.0])
         segments = (0.042, 0.028, 0.022)[:joints]
-        bends = [(along * s * scale, -0.1, np.array([1.0, 0.0, 0.0]), 1.6) for s in segments]
-        spread = (np.zeros(3), -0.3, np.array([0.0, 1.0, 0.0]), 0.3)
-        chain(base, [spread, *bends], along * segments[-1] * scale * 0.95)
+        bends = [(along * s * scale, -0.1, x, 1.6) for s in segments]
+        chain(base, [(np.zeros(3), -0.3, y, 0.3), *bends], along * segments[-1] * scale * 0.95)
 
     body = {p.name: p for p in parts}
     if side == "left":
@@ -142,42 +122,14 @@ def make_hand(
         body, tips = scrambled(body, tips, rng)
     if not shapes:
         body = {name: replace(p, end=None) for name, p in body.items()}
-    ordered = list(body.values())
-    if tip_links:
-        for name, tip in tips:
-            ordered.append(Part(f"{name}_tip", name, tip))
-    top = None
-    first: list[Part] = []
+    top, arms = None, []
     for k in range(arm):
-        first.append(
-            Part(
-                f"a{k}",
-                top,
-                np.array([0.0, 0.02, 0.25]),
-                axis=np.eye(3)[k % 3],
-                joint=f"aj{k}",
-                limits=(-2.5, 2.5),
-                end=np.array([0.0, 0.0, 0.2]),
-                radius=0.03,
-            )
-        )
-        top = f"a{k}"
+        link = Part(f"{prefix}a{k}", top, np.array([0.0, 0.02, 0.25]), axis=np.eye(3)[k % 3])
+        joint, top = f"{prefix}aj{k}", link.name
+        arms.append(replace(link, joint=joint, limits=(-2.5, 2.5), end=0.2 * z, radius=0.03))
     place = Rotation.from_rotvec(rng.normal(size=3)).as_matrix() if turned else np.eye(3)
-    ordered[0] = replace(ordered[0], parent=top, rotation=place)
-    first += ordered
-    fresh = {p.name: prefix + p.name for p in first}
-    renamed = [
-        replace(
-            p,
-            name=fresh[p.name],
-            parent=fresh.get(p.parent or ""),
-            joint=prefix + p.joint if p.joint else "",
-            mimic=(prefix + p.mimic[0], *p.mimic[1:]) if p.mimic else None,
-        )
-        for p in first
-    ]
-    truth = Truth(side, fresh["palm"], tuple((fresh[name], tip) for name, tip in tips))
-    return Model(tuple(renamed), truth)
+    body[palm] = replace(body[palm], parent=top, rotation=place)
+    return Model((*arms, *body.values()), Truth(side, palm, tuple(tips)))
 
 
 def mirrored(part: Part) -> Part:
@@ -219,7 +171,8 @@ def urdf(parts: tuple[Part, ...], *, mesh: str = "") -> str:
     """As URDF; ``mesh`` is the file name of a mesh that every link also has."""
     lines = ['<robot name="r">']
     roots = [p for p in parts if p.parent is None]
-    if len(roots) > 1 or roots[0].axis is not None:
+    root = "root" if len(roots) > 1 or roots[0].axis is not None else None
+    if root:
         lines.append('<link name="root"/>')
     for p in parts:
         lines.append(f'<link name="{p.name}">')
@@ -233,7 +186,7 @@ def urdf(parts: tuple[Part, ...], *, mesh: str = "") -> str:
         if mesh:
             lines.append(f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision>')
         lines.append("</link>")
-        parent = p.parent or ("root" if len(roots) > 1 or roots[0].axis is not None else None)
+        parent = p.parent or root
         if parent is None:
             continue
         kind = "fixed" if p.axis is None else "prismatic" if p.slide else "revolute"

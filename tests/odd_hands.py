@@ -3,6 +3,7 @@
 All are drawn up as right hands with fingers along z, palm to -y and thumb at +x.
 """
 
+import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,31 +119,22 @@ def six_joints_a_finger() -> Drawing:
         ],
         0.024 * out,
     )
-    arch = np.array([0.55, 0.0, 0.85])
-    drawing.parts.append(
-        Part(
-            "m9",
-            "q0",
-            np.array([-0.005, 0, 0.02]),
-            axis=arch / np.linalg.norm(arch),
-            joint="m9_j",
-            limits=(0.0, 0.5),
-            end=np.array([-0.03, 0.0, 0.05]),
-        )
-    )
+    arch, at = np.array([0.55, 0.0, 0.85]), np.array([-0.005, 0, 0.02])
+    drawing.finger("m9", at, [(0 * X, arch, (0.0, 0.5))], np.array([-0.03, 0.0, 0.05]))
+    drawing.tips.pop()  # a part of the palm
     for k, name in enumerate("pdwz"):
         place = np.array([0.039 - 0.026 * k, 0.0, 0.115])
         arched = k > 1
         drawing.finger(
             name,
-            place - (np.array([-0.005, 0, 0.02]) if arched else 0),
+            place - (at if arched else 0),
             [
                 (0 * X, Z, (-0.2, 0.2)),
                 (0.006 * Z, Y, (-0.3, 0.3)),
                 *(((0.004 if i == 0 else 0.03) * Z, X, (-0.1, 1.1)) for i in range(4)),
             ],
             0.024 * Z,
-            parent="m9" if arched else "",
+            parent="m90" if arched else "",
         )
     return drawing
 
@@ -240,22 +232,13 @@ def fingers_of_sliders_and_rods() -> Drawing:
     _four_fingers(drawing, limits=full)
     for k, name in enumerate("abcd"):
         place = np.array([(1.5 - k) * 0.02, 0.008, 0.06])
-        _bar(
-            drawing,
-            f"{name}s",
-            drawing.palm,
-            place,
-            [(0 * X, Z, (0.0, 0.019)), (0.012 * Z, X, full)],
-        )
-        _bar(
-            drawing,
-            f"{name}r",
-            drawing.palm,
-            place + np.array([0, -0.002, 0.03]),
-            [(0 * X, X, full)],
-        )
-        cylinder = next(p for p in drawing.parts if p.name == f"bar_{name}s0")
-        drawing.parts[drawing.parts.index(cylinder)] = replace(cylinder, slide=True)
+        cylinder = [(0 * X, Z, (0.0, 0.019)), (0.012 * Z, X, full)]
+        _bar(drawing, f"{name}s", drawing.palm, place, cylinder)
+        above = place + np.array([0, -0.002, 0.03])
+        _bar(drawing, f"{name}r", drawing.palm, above, [(0 * X, X, full)])
+    drawing.parts = [
+        replace(p, slide=True) if re.fullmatch("bar_.s0", p.name) else p for p in drawing.parts
+    ]
     _bar(drawing, "tr", "t1", np.array([0.006, 0.0, 0.01]), [(0 * X, -Y, full)])
     return drawing
 
@@ -290,16 +273,10 @@ def four_bar_gripper() -> Drawing:
             np.array([0.012 * sign, 0.0, 0.066]),
             [(0 * X, -sign * Y, (-0.1, 0.8))],
         )
-    led = {"a0_j": 1.0, "a1_j": 1.0, "bar_t0_j": 1.0, "bar_a0_j": 1.0}
-    drawing.parts = [
-        replace(p, mimic=("t0_j", led[p.joint], 0.0)) if p.joint in led else p
-        for p in drawing.parts
-    ]
-    bars = [p.name for p in drawing.parts if p.name.startswith("bar")]
-    drawing.parts = [
-        replace(p, end=0.05 * Z + 0.02 * (1 if p.position[0] > 0 else -1) * X)
-        if p.name in bars
-        else p
-        for p in drawing.parts
-    ]
+    for k, part in enumerate(drawing.parts):
+        if part.joint in ("a0_j", "a1_j", "bar_t0_j", "bar_a0_j"):
+            part = replace(part, mimic=("t0_j", 1.0, 0.0))
+        if part.name.startswith("bar"):
+            part = replace(part, end=0.05 * Z + 0.02 * np.sign(part.position[0]) * X)
+        drawing.parts[k] = part
     return drawing

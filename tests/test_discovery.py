@@ -177,12 +177,13 @@ def test_neither_arm_nor_format_nor_missing_shapes_matter(tmp_path, seed):
 
 
 def test_tip_links_and_sites_are_taken_to_the_micrometre(tmp_path):
-    linked = make_hand(5, tip_links=True, shapes=False)
-    found = found_in(tmp_path, urdf(linked.parts))
+    linked = make_hand(5, shapes=False)
+    links = [Part(f"{body}_tip", body, tip) for body, tip in linked.truth.tips]
+    found = found_in(tmp_path, urdf((*linked.parts, *links)))
     check(found, linked)
     assert tip_errors(found, list(linked.truth.tips)).max() < 1e-6
     assert all(f.tip_body.endswith("_tip") for f in found.fingers)
-    bare = make_hand(5, shapes=True)
+    bare = make_hand(5)
     found = found_in(tmp_path, mjcf(bare.parts, tips=bare.truth.tips), "m.xml")
     assert tip_errors(found, list(bare.truth.tips)).max() < 1e-6
 

@@ -1,13 +1,11 @@
 """Model files and spec files that are damaged, hostile, or in another encoding."""
 
 import re
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 from discovery_hands import make_hand, mjcf, urdf
-from fuzzing import ReaderProcess, damaged_xml, each
+from fuzzing import damaged_xml, each
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.discover import discover
@@ -165,12 +163,6 @@ def test_a_hostile_spec_file_is_refused_in_a_sentence(text, said, tmp_path):
     with pytest.raises(HandModelError, match=said) as refused:
         read_hand_spec(path)
     assert len(str(refused.value)) < 600
-
-
-@pytest.fixture(scope="module")
-def reader() -> Iterator[ReaderProcess]:
-    with ReaderProcess([str(Path(__file__).parent)]) as process:
-        yield process
 
 
 SEEDS: dict[str, tuple[str, str, str, int]] = {

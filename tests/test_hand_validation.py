@@ -168,14 +168,9 @@ WRONG: dict[str, tuple[str, Callable[[Path], HandSpec], str]] = {
         "side",
         lambda _: replace(
             ALLEGRO,
-            fingers=(
-                ALLEGRO.fingers[0],
-                *(
-                    replace(finger, name=name)
-                    for finger, name in zip(
-                        reversed(ALLEGRO.fingers[1:]), ("index", "middle", "ring"), strict=True
-                    )
-                ),
+            fingers=tuple(
+                replace(ALLEGRO.fingers[k], name=finger.name)
+                for k, finger in zip((0, 3, 2, 1), ALLEGRO.fingers, strict=True)
             ),
         ),
         "wrong order",

@@ -54,43 +54,36 @@ def scaled(attribute: str, factor: float) -> str:
     return re.sub(rf'{attribute}="([^"]*)"', times, TEXT)
 
 
-# what it is: file name, content, what is said
-REFUSED: dict[str, tuple[str, str, str]] = {
-    "broken XML": ("h.xml", "<mujoco><worldbody>", r"not well-formed.*correct it"),
-    "an empty file": ("h.urdf", "", r"not well-formed.*export the model again"),
-    "another format": ("h.sdf", "<sdf><model/></sdf>", r"starts with <sdf>; expected <mujoco>"),
+# what it is: content, what is said
+REFUSED: dict[str, tuple[str, str]] = {
+    "broken XML": ("<mujoco><worldbody>", r"not well-formed.*correct it"),
+    "an empty file": ("", r"not well-formed.*export the model again"),
+    "another format": ("<sdf><model/></sdf>", r"starts with <sdf>; expected <mujoco>"),
     "a template": (
-        "h.urdf",
         '<robot xmlns:xacro="http://x/xacro"><xacro:arg name="a"/></robot>',
         r"expand it first: xacro h\.urdf > hand\.urdf",
     ),
     "an include that is not there": (
-        "h.xml",
         '<mujoco><include file="nope.xml"/></mujoco>',
         r"nope\.xml.*correct this in the file",
     ),
     "a parent that is not there": (
-        "h.urdf",
         TEXT.replace('<parent link="palm"/>', '<parent link="ghost"/>', 1),
         r"parent or child missing.*correct this",
     ),
     "limits reversed": (
-        "h.urdf",
         TEXT.replace(f'lower="{LOW}" upper="{HIGH}"', f'lower="{HIGH}" upper="{LOW}"', 1),
         r"are reversed.*swap them in the file",
     ),
     "limits reversed in MJCF": (
-        "h.xml",
         XML.replace(f'range="{LOW} {HIGH}"', f'range="{HIGH} {LOW}"', 1),
         r"are reversed.*swap them in the file",
     ),
     "limits that are no numbers": (
-        "h.urdf",
         TEXT.replace(f'lower="{LOW}"', 'lower="none"', 1),
         r"are not two numbers",
     ),
     "limits in degrees": (
-        "h.urdf",
         re.sub(
             r'lower="([^"]*)" upper="([^"]*)"',
             lambda m: f'lower="{57.3 * float(m[1])}" upper="{57.3 * float(m[2])}"',
@@ -99,65 +92,48 @@ REFUSED: dict[str, tuple[str, str, str]] = {
         r"more than two turns: are they degrees\?.*correct them",
     ),
     "no limits": (
-        "h.urdf",
         re.sub(r"<limit [^>]*/>", "", TEXT),
         r"rotate without limits \(.*need limits in the file",
     ),
     "one joint without limits": (
-        "h.urdf",
         TEXT.replace(f'lower="{LOW}" upper="{HIGH}"', "").replace(
             f'name="{JOINT.joint}" type="revolute"', f'name="{JOINT.joint}" type="continuous"'
         ),
         r"no limits.*<limit",
     ),
     "equal limits": (
-        "h.urdf",
         re.sub(r'upper="1.6"', 'upper="-0.1"', TEXT),
         r"of a finger can't move: in the file, lower = upper = -?[\d.]+.*set their ranges there",
     ),
     "all limits equal": (
-        "h.urdf",
         re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0.105" upper="0.105"', TEXT),
         r"5 whose joints can't move, because lower = upper in the file",
     ),
     "links at one point": (
-        "h.urdf",
         re.sub(
             r"<collision>.*?</collision>", "", re.sub(r'xyz="[^"]*" rpy', 'xyz="0 0 0" rpy', TEXT)
         ),
         r"all at one point \(.*\): the model is a placeholder.* no origins\. The palm",
     ),
-    "millimetres": ("h.urdf", scaled("xyz", 1000.0), r"a model that is not in metres"),
+    "millimetres": (scaled("xyz", 1000.0), r"a model that is not in metres"),
     "a tip link twice": (
-        "h.urdf",
         TEXT.replace("</robot>", f'<link name="{LAST}"/></robot>'),
         r"names the link .* twice; use a different name for each",
     ),
-    "a tip given twice": (
-        "h.urdf",
-        TEXT,
-        r"--tip names 'index' twice; set one tip per finger",
-    ),
-    "a tip on another finger": (
-        "h.urdf",
-        TEXT,
-        r"choose a body that is fixed to that finger's last link: ",
-    ),
+    "a tip given twice": (TEXT, r"--tip names 'index' twice; set one tip per finger"),
+    "a tip on another finger": (TEXT, r"choose a body that is fixed to that finger's last link: "),
     "a ball joint": (
-        "h.xml",
         re.sub(joint_of(JOINT.joint), f'<joint name="{JOINT.joint}" type="ball"/>', XML),
         r"is a ball or free joint.*replace it by hinges",
     ),
-    "a mobile robot": ("h.xml", ROVER, r"4 that rotate without limits \(wheels\?"),
-    "an arm": ("h.xml", ARM_ONLY, r"no fingers found: .*name the palm with --palm"),
-    "no joints": ("h.urdf", '<robot name="r"><link name="a"/></robot>', r"no joints"),
+    "a mobile robot": (ROVER, r"4 that rotate without limits \(wheels\?"),
+    "an arm": (ARM_ONLY, r"no fingers found: .*name the palm with --palm"),
+    "no joints": ('<robot name="r"><link name="a"/></robot>', r"no joints"),
     "a coupling to nothing in URDF": (
-        "h.urdf",
         TEXT.replace("</joint>", '<mimic joint="ghost"/></joint>', 1),
         r"no joint 'ghost'",
     ),
     "a coupling to nothing": (
-        "h.xml",
         XML.replace(
             "<equality>",
             f'<equality><joint joint1="{JOINT.joint}" joint2="ghost" polycoef="0 1 0 0 0"/>',
@@ -180,7 +156,8 @@ def run(run, elsewhere, own_hands, monkeypatch) -> Run:
 
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_can_not_be_used_is_refused_in_a_line(run, tmp_path, own_hands, what):
-    name, content, message = REFUSED[what]
+    content, message = REFUSED[what]
+    name = "h.xml" if content.startswith("<mujoco") else "h.urdf"
     (tmp_path / name).write_text(content, encoding="utf-8")
     status, out, err = run(name, *OPTIONS.get(what, ()))
     said = [line for line in err.splitlines() if line.startswith("smooth-operator: ")]

@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 import trimesh
 from discovery_hands import make_hand, urdf
-from fuzzing import ReaderProcess
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.benchmark.cells import only_side
@@ -31,12 +29,6 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
 JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
-
-
-@pytest.fixture(scope="module")
-def reader() -> Iterator[ReaderProcess]:
-    with ReaderProcess([str(Path(__file__).parent)]) as process:
-        yield process
 
 
 def write_box(path: Path, size: float = 0.01) -> None:
