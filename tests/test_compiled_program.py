@@ -180,42 +180,28 @@ def test_what_a_program_depends_on_is_in_its_key():
     "config",
     [
         pytest.param(method_config("joint_angle"), id="joint_angle"),
+        pytest.param(method_config("geort"), id="geort"),
         pytest.param(TINY, id="sbr", marks=pytest.mark.weekly),
+        pytest.param(method_config("dexpilot"), id="dexpilot", marks=pytest.mark.weekly),
     ],
 )
-def test_results_are_those_of_the_traced_program_to_the_last_bit(config, folder, monkeypatch):
+def test_results_are_those_of_the_traced_program_to_the_last_bit(config, folder):
     recording = SyntheticOperator(rate_hz=20).record(1.5)
 
-    def results() -> list[bytes]:
+    def results(cache: ProgramStore | None) -> list[bytes]:
         forget()
-        retargeter = BatchRetargeter(config=config, seed=1, cache=ProgramStore.of_user())
+        retargeter = BatchRetargeter(config=config, seed=1, cache=cache)
         runs = [retargeter.run(recording), *retargeter.batch([recording])]
         return [
             each.tobytes() for commands, loss in runs for each in (commands.joint_positions, loss)
         ]
 
-    made, read = results(), results()
-    assert len(list(folder.iterdir())) == 2
-    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
-    assert made == read == results()
-
-
-@pytest.mark.parametrize("method", [pytest.param("dexpilot", marks=pytest.mark.weekly), "geort"])
-def test_other_methods_too(folder, method):
-    recording = SyntheticOperator(rate_hz=20).record(0.5)
-
-    def result(cache: ProgramStore | None) -> bytes:
-        forget()
-        retargeter = Retargeter(method=method, cache=cache)
-        assert retargeter.shared.method.on_host == (method == "dexpilot")
-        return retargeter.run(recording)[0].joint_positions.tobytes()
-
-    without = result(None)
+    traced = results(None)
     assert not folder.exists() or not list(folder.iterdir())
-    made = result(ProgramStore.of_user())
+    made = results(ProgramStore.of_user())
     files = {file: file.stat().st_size for file in folder.iterdir()}
-    assert len(files) == (2 if method == "dexpilot" else 1)
-    assert without == made == result(ProgramStore.of_user())
+    assert len(files) == 2
+    assert traced == made == results(ProgramStore.of_user())
     assert files == {file: file.stat().st_size for file in folder.iterdir()}
 
 

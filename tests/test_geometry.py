@@ -42,21 +42,6 @@ def assert_proper(rotation: np.ndarray, atol: float = 1e-12) -> None:
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=atol)
 
 
-@pytest.mark.parametrize("count", COUNTS)
-def test_a_known_similarity_is_recovered(count):
-    rng = np.random.default_rng(count)
-    source = rng.normal(0, 0.05, (200, count, 3))
-    rotation, scale = random_rotations(rng, 200), rng.uniform(0.3, 3, 200)
-    translation = rng.normal(0, 1, (200, 3))
-    fit = umeyama(source, moved(source, rotation, scale, translation))
-    usable = fit.condition > 1e-3
-    assert usable.sum() > 190
-    np.testing.assert_allclose(fit.rotation[usable], rotation[usable], atol=1e-10)
-    np.testing.assert_allclose(fit.scale, scale, rtol=1e-10)
-    np.testing.assert_allclose(fit.translation[usable], translation[usable], atol=1e-10)
-    assert_proper(fit.rotation)
-
-
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2, 1e-7, np.pi - 1e-7])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_turns_about_an_axis_of_an_aligned_set(turn, axis):
@@ -84,6 +69,10 @@ def test_the_fit_is_that_of_the_reference(count, mirrored):
         residual(fit, source, target), residual(reference, source, target), rtol=1e-9
     )
     np.testing.assert_allclose(fit.scale, scale, rtol=1e-9)
+    usable = fit.condition > 1e-2  # the best rotation is well defined
+    assert usable.sum() > 250
+    np.testing.assert_allclose(fit.rotation[usable], rotation[usable], atol=1e-9)
+    np.testing.assert_allclose(fit.translation[usable], translation[usable], atol=1e-9)
     assert_proper(fit.rotation)
 
 

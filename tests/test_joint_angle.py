@@ -271,13 +271,6 @@ def test_rows_in_the_description_serve_such_a_finger(tmp_path):
     np.testing.assert_allclose(positions(hand, aligned)[:, 0], expected, atol=1e-4)
 
 
-def test_a_row_overrules_the_measured_one():
-    spec, own = load_hand().spec, JointMap("index_base2mcp", offset=0.3)
-    rows = joint_map(load_hand(replace(spec, joint_map=(own,))))
-    measured = {row.joint: row for row in joint_map(load_hand())}
-    assert {row.joint: row for row in rows} == measured | {own.joint: own}
-
-
 def test_rows_are_checked():
     spec = load_hand().spec
     with pytest.raises(UnknownNameError, match="index_base2mcp"):

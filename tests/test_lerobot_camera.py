@@ -201,9 +201,3 @@ def test_a_machine_that_draws_too_slowly_is_told_what_to_set(drawing):
     words = r"1\.9 s old, more than 1 s.*smaller width and height.*stale_s: 5.*must be deleted"
     with pytest.raises(TimeoutError, match=f"(?s){words}"):
         drawing.camera.read_latest()
-
-
-def test_calibrating_says_where_it_is_done(plugin, caplog):
-    caplog.set_level("INFO")
-    plugin.package.SmoothHand(plugin.package.SmoothHandConfig()).calibrate()
-    assert "smooth-operator hardware check" in caplog.text

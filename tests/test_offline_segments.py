@@ -4,20 +4,10 @@ import numpy as np
 import pytest
 
 from smooth_operator.retargeting.trajectory_retargeter import (
-    even_stamps,
     segments,
     tracker_noise,
-    windows,
     without_jumps,
 )
-
-
-def test_stamps_on_an_even_grid():
-    stamps = np.array([5.0, 5.011, 5.019, 5.05, 5.0601, 5.07])
-    np.testing.assert_allclose(
-        even_stamps(stamps), np.array([0, 1, 2, 5, 6, 7]) * np.median(np.diff(stamps))
-    )
-    assert even_stamps(np.array([3.0])).tolist() == [0.0]
 
 
 def test_segments_end_at_long_gaps():
@@ -59,11 +49,3 @@ def test_leaps_are_spread_and_nothing_is_late():
     jump[18:22] = 7.0
     assert (without_jumps(jump, seen, 0.03)[18:22] == 7.0).all()
     assert np.abs(without_jumps(jump, seen, 0.03)[seen]).max() < 0.051
-
-
-@pytest.mark.parametrize("count", [1, 5, 99, 100, 101, 130, 131, 500])
-def test_windows_cover_a_stretch_once(count):
-    parts = windows(count, 100, 30)
-    assert [p for first, keep, _ in parts for p in range(first, keep)] == list(range(count))
-    assert all(keep <= end <= count for _, keep, end in parts)
-    assert all(end == min(keep + 30, count) for _, keep, end in parts)

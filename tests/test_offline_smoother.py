@@ -70,16 +70,6 @@ def dense_price(stamps: np.ndarray, config: TrajectoryConfig) -> np.ndarray:
     return lower + np.tril(lower, -1).T
 
 
-def test_a_quadratic_is_solved_as_linear_equations_are():
-    stamps, goal = noisy()
-    config = TrajectoryConfig(acceleration_weight=1e-5)
-    found = smooth_trajectory(following(goal), goal, stamps, WIDE, config)
-    d = accelerations(stamps)
-    matrix = np.eye(len(goal)) + 2e-5 * d.T @ d
-    assert found.converged
-    np.testing.assert_allclose(found.q, np.linalg.solve(matrix, goal), atol=1e-6)
-
-
 def test_bounds_hold_and_what_is_free_is_optimal():
     stamps, goal = noisy()
     limits = np.array([[-0.5, 0.4], [-0.2, 2.0]])

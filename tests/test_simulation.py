@@ -45,7 +45,13 @@ BUILT_IN = [
 ]
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("mimic_p050", "inspire_hand", "leap_hand"),
+        *(pytest.param(name, marks=pytest.mark.weekly) for name in BUILT_IN),
+    ],
+)
 def test_follows_a_sine(name):
     """1 Hz, up to 0.3 rad, joint by joint where it touches nothing; left and right in turn."""
     hand = load_hand(name, "left" if BUILT_IN.index(name) % 2 else "right")

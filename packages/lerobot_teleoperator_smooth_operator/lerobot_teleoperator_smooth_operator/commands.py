@@ -97,10 +97,6 @@ class Newest:
         """The newest command of a hand; None before the first command."""
         return self._commands.get(side)
 
-    def age(self, command: Command) -> float:
-        """Age of a command [s]."""
-        return self._clock() - command.sent
-
     def silence(self, side: str) -> str:
         """Reason why no commands come, if the loop stated it; otherwise empty."""
         return self._silent.get(side, "")

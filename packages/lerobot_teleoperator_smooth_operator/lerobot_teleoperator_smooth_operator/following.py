@@ -93,11 +93,6 @@ class PoseFollower(Follower):
         return max(_LEAST_S, float(distance) / _WRIST_SPEED, float(angle) / _WRIST_TURN)
 
 
-def rotation_6d(quaternion: np.ndarray) -> np.ndarray:
-    """First and second column of the rotation matrix of a unit quaternion (w x y z)."""
-    return np.asarray(poses.rotation_matrices(quaternion)[:, :2].T.ravel())
-
-
 def _fading(passed: float) -> float:
     """Smooth step from 1 (at 0 and below) to 0 (at 1 and above) with zero slope at both ends."""
     passed = min(max(passed, 0.0), 1.0)

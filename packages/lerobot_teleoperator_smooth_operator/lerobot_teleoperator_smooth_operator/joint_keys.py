@@ -74,14 +74,25 @@ def joint_keys(
             )
     if ends and unit not in RANGES:
         raise ValueError(f"ends are only for {' and '.join(RANGES)}; {unit} uses signs and offsets")
-    keys = [
-        _joint_key(joint, name, unit, ends, signs, offsets, prefix)
-        for joint, name in joints.items()
-    ]
-    for number, made in enumerate(keys):
-        if any(made.key == other.key for other in keys[:number]):
-            raise ValueError(f"joints: two of the model's joints have the robot's key {made.key}")
-    return tuple(keys)
+    keys: dict[str, JointKey] = {}
+    for joint, name in joints.items():
+        key = f"{prefix}{name}.pos"
+        if key in keys:
+            raise ValueError(f"joints: two of the model's joints have the robot's key {key}")
+        if unit in RANGES:
+            first, last = _ends(name, unit, ends)
+            least, most = RANGES[unit]
+            factor = (most - least) / (last - first)
+            keys[key] = JointKey(joint, key, factor, least - factor * first, least, most)
+            continue
+        sign, offset = float(signs.get(name, 1.0)), float(offsets.get(name, 0.0))
+        if sign not in (1.0, -1.0):
+            raise ValueError(f"signs: {name} must be 1 or -1, not {sign:g}")
+        if not math.isfinite(offset):
+            raise ValueError(f"offsets: {name} must be a number, not {offset}")
+        per_radian = 180.0 / math.pi if unit == "degrees" else 1.0
+        keys[key] = JointKey(joint, key, sign * per_radian, offset)
+    return tuple(keys.values())
 
 
 def check_names(
@@ -97,31 +108,6 @@ def check_names(
             if not all_joints and name not in joints.values():
                 known = ", ".join(joints.values())
                 raise ValueError(f"{setting}: {name!r} is not one of the robot's joints: {known}")
-
-
-def _joint_key(
-    joint: str,
-    name: str,
-    unit: str,
-    ends: Mapping[str, Sequence[float]],
-    signs: Mapping[str, float],
-    offsets: Mapping[str, float],
-    prefix: str,
-) -> JointKey:
-    key = f"{prefix}{name}.pos"
-    if unit in RANGES:
-        first, last = _ends(name, unit, ends)
-        least, most = RANGES[unit]
-        factor = (most - least) / (last - first)
-        return JointKey(joint, key, factor, least - factor * first, least, most)
-    sign = float(signs.get(name, 1.0))
-    if sign not in (1.0, -1.0):
-        raise ValueError(f"signs: {name} must be 1 or -1, not {sign:g}")
-    factor = sign * (180.0 / math.pi if unit == "degrees" else 1.0)
-    offset = float(offsets.get(name, 0.0))
-    if not math.isfinite(offset):
-        raise ValueError(f"offsets: {name} must be a number, not {offset}")
-    return JointKey(joint, key, factor, offset)
 
 
 def _ends(name: str, unit: str, ends: Mapping[str, Sequence[float]]) -> tuple[float, float]:

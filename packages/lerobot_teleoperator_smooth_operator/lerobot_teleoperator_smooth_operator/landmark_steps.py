@@ -15,7 +15,7 @@ them, and leaves all other keys:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,10 @@ class _LandmarkStep(RobotActionProcessorStep):
     """
 
     prefix: str = ""
+
+    def get_config(self) -> dict[str, Any]:
+        """The settings, from which LeRobot makes the step again."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _taken(self, action: dict[str, Any], keys: Sequence[str], setting: str) -> np.ndarray:
         """Removes values from an action; ValueError if one is missing."""
@@ -113,15 +117,6 @@ class LandmarksToJoints(_LandmarkStep):
         self._retargeter.reset()
         self._angles = self._neutral
 
-    def get_config(self) -> dict[str, Any]:
-        """The settings, from which LeRobot makes the step again."""
-        return {
-            "prefix": self.prefix,
-            "hand": self.hand,
-            "side": self.side,
-            "method": self.method,
-        }
-
     def transform_features(self, features: Any) -> Any:
         """Replace the keys in the features of the action."""
         return self._replaced(features, LANDMARK_KEYS, self._keys)
@@ -158,10 +153,6 @@ class LandmarksToEndEffector(_LandmarkStep):
     def reset(self) -> None:
         """Open the gripper."""
         self._gripper.reset()
-
-    def get_config(self) -> dict[str, Any]:
-        """The settings, from which LeRobot makes the step again."""
-        return {"prefix": self.prefix, "gripper": self.gripper, "touch_m": self.touch_m}
 
     def transform_features(self, features: Any) -> Any:
         """Replace the keys in the features of the action."""

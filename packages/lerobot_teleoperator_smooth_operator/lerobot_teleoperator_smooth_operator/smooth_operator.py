@@ -23,7 +23,7 @@ from lerobot_teleoperator_smooth_operator.end_effector import (
     Steps,
     gripper_command,
 )
-from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
+from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower
 from lerobot_teleoperator_smooth_operator.gripper import OPEN, Gripper, Jaw
 from lerobot_teleoperator_smooth_operator.human_hands import HumanHands
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
@@ -198,7 +198,9 @@ class _HandActions:
             return self._steps.next(pose[:3])
         if wrist == "ee":
             return np.append(pose[:3], poses.rotation_vectors(pose[3:]))
-        return np.append(pose[:3], rotation_6d(pose[3:])) if wrist == "rotation_6d" else pose
+        if wrist == "rotation_6d":
+            return np.append(pose[:3], poses.rotation_matrices(pose[3:])[:, :2].T)
+        return pose
 
     def _made(self, names: Sequence[str]) -> tuple[JointKey, ...]:
         """Keys of the joints that the settings name, or of all ``names``; the gripper's is last."""
@@ -350,25 +352,12 @@ class SmoothOperator(Teleoperator):
         self._fresh_at, self._torque = {}, False
         feed: Feed
         if config.source:
-            feed = InProcess(
-                config.source,
-                self._newest,
-                _own_hand(config),
-                config.side,
-                config.method,
-                config.arm,
-                wrist_joints=config.wrist == "none",
-                operator=self.operator_file,
-                bind=config.bind,
-                wrist_scale=config.wrist_scale,
-                wrist_yaw=config.wrist_yaw,
-            )
+            feed = InProcess(config, self._newest, _own_hand(config), self.operator_file)
         else:
             feed = Subscription(config.address, self._newest)
         try:
             # The loop in this process compiles first, and says itself what goes wrong.
-            patience = math.inf if config.source else config.timeout_s
-            self._await(feed, patience)
+            self._await(feed, 600.0 if config.source else config.timeout_s)
             for hand in self._hands:
                 command = self._newest.command(hand.side)
                 assert command is not None  # it was awaited
@@ -481,7 +470,7 @@ class SmoothOperator(Teleoperator):
                 for hand in self._hands
             )
 
-        done = self._newest.wait(there, patience if math.isfinite(patience) else 600.0)
+        done = self._newest.wait(there, patience)
         if feed.error is not None:
             raise DeviceNotConnectedError(f"smooth-operator: {feed.error}") from feed.error
         if not done:
@@ -494,7 +483,7 @@ class SmoothOperator(Teleoperator):
         silence = self._newest.silence(hand.side)
         if silence:
             return silence
-        age = self._newest.age(command)
+        age = self._clock() - command.sent
         if age > command.valid_for_s:
             return f"the newest command is {age:.2f} s old"
         return ""

@@ -6,30 +6,19 @@ import atexit
 import contextlib
 import math
 import threading
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias, cast
 
 import zmq
 
 from lerobot_teleoperator_smooth_operator.commands import Newest
+from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
 
 _POLL_MS = 50
 """Interval at which the thread checks whether it should end [ms]."""
 
 _PATIENCE_S = 5.0
 """Longest time that closing waits for a thread [s]."""
-
-
-class Feed(Protocol):
-    """An open source of commands."""
-
-    @property
-    def error(self) -> Exception | None:
-        """Error that ended it; None while it works."""
-
-    def close(self) -> None:
-        """Close it; a second call does nothing."""
 
 
 class Subscription:
@@ -90,36 +79,18 @@ class InProcess:
     ``teleop`` process runs more smoothly.
 
     Args:
-        source: source of the hand frames, written as for ``--source``.
+        config: settings of the teleoperator, with a source of hand frames.
         newest: store for the commands.
         hand: the robot hand.
-        side: ``right``, ``left`` or ``both``.
-        method: retargeting method; empty for the default.
-        arm: arm that carries the hand, as for ``--arm``; empty without an arm.
-        wrist_joints: False if an arm follows the wrist, so that the hand's own wrist joints do not.
         operator: file of the operator's calibration, which the loop updates at its end; None for
             no file.
-        bind: inputs of the operator's actions, as for ``--bind``.
-        wrist_scale: ratio of the robot's translation to the operator's.
-        wrist_yaw: direction of the tracker's x axis in the robot's base [degrees].
 
     Raises:
         ImportError: smooth-operator is not installed.
     """
 
     def __init__(
-        self,
-        source: str,
-        newest: Newest,
-        hand: str,
-        side: Any,
-        method: str,
-        arm: str = "",
-        wrist_joints: bool = True,
-        operator: Path | None = None,
-        bind: Sequence[str] = (),
-        wrist_scale: float = 1.0,
-        wrist_yaw: float = 0.0,
+        self, config: SmoothOperatorConfig, newest: Newest, hand: str, operator: Path | None
     ) -> None:
         try:
             from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
@@ -134,18 +105,19 @@ class InProcess:
         self._newest, self._loop = newest, None
         self.error: Exception | None = None
         self._ending = threading.Event()
-        method = method or "smooth"
+        method, side = config.method or "smooth", cast(Any, config.side)
         request = TeleopRequest(
-            source=source,
+            source=config.source,
             hand=hand,
             side=side,
             method=method,
-            arm=arm or None,
-            wrist_joints="auto" if wrist_joints else "off",
+            arm=config.arm or None,
+            # If an arm follows the wrist, the hand's own wrist joints do not.
+            wrist_joints="auto" if config.wrist == "none" else "off",
             methods=(method,),  # compiled before the first action
             operator=operator,
-            bind=tuple(bind),
-            wrist=WristConfig(scale=wrist_scale, yaw=math.radians(wrist_yaw)),
+            bind=tuple(config.bind),
+            wrist=WristConfig(scale=config.wrist_scale, yaw=math.radians(config.wrist_yaw)),
         )
 
         def started(loop: Any) -> None:
@@ -174,3 +146,7 @@ class InProcess:
             with contextlib.suppress(RuntimeError):
                 self._loop.controls.quit()
         self._thread.join(_PATIENCE_S)
+
+
+Feed: TypeAlias = Subscription | InProcess
+"""An open source of commands. The ``error`` that ended it is None while it works."""

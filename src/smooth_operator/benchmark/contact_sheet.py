@@ -142,6 +142,8 @@ def contact_sheet(
     same scale; all human hands are drawn with the same length.
 
     Args:
+        panels: recordings on one hand of one side.
+        shape: makes the surface of the robot hand.
         names: poses to draw, in this order. Default: all.
 
     Returns:
@@ -155,12 +157,11 @@ def contact_sheet(
         return None
     methods = list(dict.fromkeys(run.method for panel in panels for run in panel.runs))
     robot = shape(panels[0].hand)
-    humans = [
-        HandPicture.of_human(pose.panel.runs[0].human[pose.frame], side_of(pose)) for pose in poses
-    ]
+    side = panels[0].hand.spec.side
+    humans = [HandPicture.of_human(pose.panel.runs[0].human[pose.frame], side) for pose in poses]
     robots = [
         {
-            run.method: HandPicture.of_robot(robot, run.joints[pose.frame], side_of(pose))
+            run.method: HandPicture.of_robot(robot, run.joints[pose.frame], side)
             for run in pose.panel.runs
         }
         for pose in poses
@@ -277,11 +278,6 @@ def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, 
             np.sin(turn) * right + np.cos(turn) * toward,
         ]
     )
-
-
-def side_of(pose: Pose) -> Side:
-    """Side of the hand that a pose shows."""
-    return pose.panel.hand.spec.side
 
 
 def _lettered(

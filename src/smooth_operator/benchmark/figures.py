@@ -281,12 +281,12 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
     ax.margins(0.14)
     plain_logs(ax)
     name_points(ax, means)
-    handles = [_proxy(colors[m], "o", m) for m in points]
+    handles = [_key(colors[m], m, "o") for m in points]
     if len(recordings) > 1:
-        handles.append(_proxy(INK, "", ""))
+        handles.append(_key(INK, ""))
         handles += [
             # A legend leaves out a text that begins with an underscore.
-            _proxy(INK, MARKERS[i % len(MARKERS)], re.sub("^_", " _", shortened(r)))
+            _key(INK, re.sub("^_", " _", shortened(r)), MARKERS[i % len(MARKERS)])
             for i, r in enumerate(recordings)
         ]
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.745, 0.97), fontsize=8)
@@ -315,6 +315,7 @@ def latency_figure(
     height = 1.1 + 0.5 * len(times)
     figure = _figure((8.6, height))
     ax = figure.add_axes((0.17, 0.62 / height, 0.8, 1 - 0.95 / height))
+    styles = {"p50": "-", "p95": "--", "p99": ":"}
     spread = np.random.default_rng(0)  # the place of a dot within its strip has no meaning
     for row, (method, measured) in enumerate(times.items()):
         values = np.concatenate(measured)
@@ -333,7 +334,7 @@ def latency_figure(
             alpha=0.45,
             rasterized=True,
         )
-        for at, style in ((at50, "-"), (at95, "--"), (at99, ":")):
+        for at, style in zip((at50, at95, at99), styles.values(), strict=True):
             ax.plot([at, at], [row - 0.36, row + 0.36], color=INK, linestyle=style, linewidth=1.3)
         ax.annotate(
             f"{at50:.3g}",
@@ -348,8 +349,7 @@ def latency_figure(
     ax.set_yticks(range(len(times)), list(times))
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("latency, landmarks to command [ms]")
-    styles = {"p50": "-", "p95": "--", "p99": ":"}
-    lines = [_line(INK, style, name) for name, style in styles.items()]
+    lines = [_key(INK, name, line=style) for name, style in styles.items()]
     figure.legend(handles=lines, ncols=3, loc="upper right", bbox_to_anchor=(0.98, 1.0), fontsize=8)
     return figure
 
@@ -484,16 +484,12 @@ def _legend(figure: Figure, ax: Axes) -> None:
     )
 
 
-def _proxy(color: str, marker: str, label: str) -> Any:
+def _key(color: str, label: str, marker: str = "", line: str = "") -> Any:
+    """Entry of a legend."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], color=color, marker=marker, linestyle="", markersize=6, label=label)
-
-
-def _line(color: str, style: Any, label: str) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], color=color, linestyle=style, linewidth=1.3, label=label)
+    style: dict[str, Any] = {"marker": marker, "markersize": 6, "linestyle": line, "linewidth": 1.3}
+    return Line2D([], [], color=color, label=label, **style)
 
 
 def shortened(text: str) -> str:

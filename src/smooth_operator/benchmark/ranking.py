@@ -360,8 +360,8 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
     if len(running) < 2:
         return []
     measured = any(line.values.get(_COLLISION.name) is not None for line in running)
-    free = [line for line in running if _at_most(line, _COLLISION, COLLISION_LIMIT)]
-    moving = [line for line in running if _at_least(line, _MOTION, MOTION_FLOOR)]
+    free = [line for line in running if _reaches(line, _COLLISION, COLLISION_LIMIT)]
+    moving = [line for line in running if _reaches(line, _MOTION, MOTION_FLOOR)]
     crowded = (
         f"every method has more than {100 * COLLISION_LIMIT:.0f} % of frames in self-collision"
     )
@@ -443,14 +443,9 @@ def _competing(lines: Sequence[Line]) -> list[Line]:
     return [line for line in lines if line.failed is None and line.count == line.of]
 
 
-def _at_most(line: Line, metric: Metric, bound: float) -> bool:
+def _reaches(line: Line, metric: Metric, bound: float) -> bool:
     value = line.values.get(metric.name)
-    return value is not None and value <= bound
-
-
-def _at_least(line: Line, metric: Metric, bound: float) -> bool:
-    value = line.values.get(metric.name)
-    return value is not None and value >= bound
+    return value is not None and merit(metric, value) >= merit(metric, bound)
 
 
 Verdict: TypeAlias = Literal["better", "worse", "same"]

@@ -20,7 +20,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final, TypeVar
 
-from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
+from smooth_operator.errors import MissingExtraError, WorkerError
 from smooth_operator.parallel.tasks import (
     TaskResult,
     death,
@@ -53,12 +53,9 @@ def run_on_cluster(
     """Yields the results of tasks that run on a cluster; see ``run_tasks``.
 
     Raises:
-        ConfigError: a number of workers is not valid.
         MissingExtraError: Ray or Ray Data is not installed.
         WorkerError: the cluster can't be reached, or gave up.
     """
-    if workers is not None and workers < 1:
-        raise ConfigError(f"workers must be 1 or more, not {workers}")
     try:
         import ray
         import ray.data
