@@ -1,13 +1,48 @@
 """Simulated hands answer the frames that the makers' texts give literally."""
 
 import enum
+import importlib
 import inspect
 import struct
 import time
 
 import numpy as np
 import pytest
-from simulators.common import ManualClock, SerialLine
+from simulators import revo3_sdk, wuji_sdk
+from simulators.aero_hand import AeroHand
+from simulators.common import SerialLine, serve_can
+from simulators.feetech_bus import FeetechBus, packet
+from simulators.inspire_touch import TOUCH, InspireTouchHand
+from simulators.modbus_rtu import crc
+from simulators.rohand_modbus import RoHand
+from simulators.sdk import stub_methods
+
+pytest.importorskip("can", reason="python-can is not installed")
+
+import can
+from simulators.dexhand021_can import DexHand021
+from simulators.linkerhand_can import LinkerHand
+
+
+class ManualClock:
+    """Time [s] that moves only when a test says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def advance(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch) -> ManualClock:
+    """The time of simulators that are made from now on."""
+    clock = ManualClock()
+    monkeypatch.setattr(time, "monotonic", clock)
+    return clock
 
 
 def _hex(text: str) -> bytes:
@@ -16,11 +51,9 @@ def _hex(text: str) -> bytes:
 
 # --- Feetech: examples of the maker's "Communication Protocol User Manual" 191218-0923
 
-from simulators.feetech_bus import FeetechBus, packet  # noqa: E402
-
 
 def _bus(*places: int) -> FeetechBus:
-    bus = FeetechBus(dict.fromkeys(range(1, len(places) + 1), "sts3215"), clock=ManualClock())
+    bus = FeetechBus(dict.fromkeys(range(1, len(places) + 1), "sts3215"))
     bus.receive(packet(0xFE, 3, bytes([40, 1])))  # torque
     bus.motors.place(places)
     return bus
@@ -43,13 +76,13 @@ def _bus(*places: int) -> FeetechBus:
         ),
     ],
 )
-def test_feetech_frames_of_the_manual(places, requests, answers, targets):
+def test_feetech_frames_of_the_manual(places, requests, answers, targets, clock):
     bus = _bus(*places)
     assert [bus.receive(_hex(request)) for request in requests] == [_hex(a) for a in answers]
     assert bus.motors.targets.tolist() == targets
-    bus.motors._clock.advance(1.0)
+    clock.advance(1.0)
     assert (np.abs(bus.motors.positions - places) <= 1000).all()  # 1000 steps a second
-    bus.motors._clock.advance(9.0)
+    clock.advance(9.0)
     assert bus.motors.positions.tolist() == targets
 
 
@@ -63,7 +96,7 @@ def test_feetech_sync_read_of_the_manual():
 
 
 def test_feetech_scs_words_have_the_high_byte_first_and_no_sync_read():
-    bus = FeetechBus({1: "scs0009"}, clock=ManualClock())
+    bus = FeetechBus({1: "scs0009"})
     assert bus.receive(packet(1, 2, bytes([56, 2])))[5:7] == bytes([0x01, 0xFF])  # 511
     assert bus.receive(packet(1, 2, bytes([3, 2])))[5:7] == (1284).to_bytes(2, "big")
     assert bus.receive(packet(0xFE, 0x82, bytes([56, 2, 1]))) == b""
@@ -97,12 +130,9 @@ def test_feetech_servo_works_with_the_package_of_its_maker(model, series, number
 
 # --- Aero Hand Open: firmware v0.1.0 of TetherIA, and aero-open-sdk 0.1.0.dev1
 
-from simulators.aero_hand import AeroHand  # noqa: E402
 
-
-def test_aero_hand_answers_what_its_firmware_answers():
-    clock = ManualClock()
-    hand = AeroHand("right", clock=clock)
+def test_aero_hand_answers_what_its_firmware_answers(clock):
+    hand = AeroHand("right")
     ask = lambda text: hand.receive(_hex(text)).hex(" ")  # noqa: E731
     zeros = " 00 00" * 5
     assert ask("31 00 03 00 E8 03" + zeros) == "31 00 03 00 e8 03" + zeros
@@ -136,9 +166,6 @@ def test_aero_hand_works_with_the_package_of_its_maker():
 
 # --- ROHand: registers and errors of OYMotion's Modbus RTU protocol V1.0 and V2.0
 
-from simulators.modbus_rtu import crc  # noqa: E402
-from simulators.rohand_modbus import RoHand  # noqa: E402
-
 
 def _rtu(hand: RoHand, *body: int) -> bytes:
     request = bytes(body)
@@ -150,9 +177,8 @@ def test_rohand_crc_is_the_one_of_modbus():
     assert crc(bytes([0x11, 0x03, 0x00, 0x6B, 0x00, 0x03])) == bytes([0x76, 0x87])
 
 
-def test_rohand_reads_defaults_and_follows_a_target():
-    clock = ManualClock()
-    hand = RoHand(2, clock=clock)
+def test_rohand_reads_defaults_and_follows_a_target(clock):
+    hand = RoHand(2)
     answer = _rtu(hand, 2, 3, 0x04, 0x47, 0, 6)  # 1095: current limits
     assert answer[:-2] == bytes([2, 3, 12]) + (1178).to_bytes(2, "big") * 6
     assert crc(answer[:-2]) == answer[-2:]
@@ -167,8 +193,6 @@ def test_rohand_reads_defaults_and_follows_a_target():
 
 # --- Inspire with touch: manual RH56DFTP R1, and Unitree's inspire_hand_sdk
 
-from simulators.inspire_touch import TOUCH, InspireTouchHand  # noqa: E402
-
 
 def test_inspire_touch_addresses_are_those_of_the_manual():
     assert TOUCH["little", "nail"] == (3018, (12, 8))
@@ -179,9 +203,8 @@ def test_inspire_touch_addresses_are_those_of_the_manual():
     assert max(ends) == 5124
 
 
-def test_inspire_reads_and_writes_as_the_manual_frames_them():
-    clock = ManualClock()
-    hand = InspireTouchHand(clock=clock)
+def test_inspire_reads_and_writes_as_the_manual_frames_them(clock):
+    hand = InspireTouchHand()
     # transaction 7, unit 255: write 100, 100, 100, 100, 2000 (refused), 0 from 1486
     written = hand.receive(
         _hex("00 07 00 00 00 13 FF 10 05 CE 00 06 0C 00 64 00 64 00 64 00 64 07 D0 00 00")
@@ -193,7 +216,7 @@ def test_inspire_reads_and_writes_as_the_manual_frames_them():
 
 
 def test_inspire_touch_cells_run_by_rows_and_the_palm_by_columns():
-    hand = InspireTouchHand(clock=ManualClock())
+    hand = InspireTouchHand()
     hand.touch["little", "nail"][1, 0] = 0x0102  # the ninth point
     hand.touch["palm", "palm"][7, 1] = 0x0304  # the ninth point of the palm: row 8, column 2
     request = lambda address, count: struct.pack(">HHHBBHH", 1, 0, 6, 255, 3, address, count)  # noqa: E731
@@ -233,9 +256,6 @@ def test_dex3_types_have_the_names_and_fields_of_the_maker(dex3):
 
 # --- Stand-ins of makers' Python packages
 
-from simulators import revo3_sdk, wuji_sdk  # noqa: E402
-from simulators.sdk import stub_methods  # noqa: E402
-
 
 @pytest.mark.parametrize(
     ("package", "file", "modules"),
@@ -260,3 +280,90 @@ def test_stand_ins_have_the_calls_of_the_package_that_is_installed(package, file
                 assert parameters == real, f"{name}.{method}"
                 compared += 1
     assert compared > 8
+
+
+# --- LinkerHand: linkerbot 0.5.4
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "joints"),
+    [
+        ("o6.O6", "O6", 6),
+        ("l6.L6", "L6", 6),
+        ("l20lite.L20lite", "L20 lite", 10),
+        ("l25.L25", "L25 linkerbot", 16),
+    ],
+)
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_linkerhand_works_with_the_package_of_its_maker(name, model, joints, side):
+    pytest.importorskip("linkerbot", reason="the maker's package linkerbot is not installed")
+    module, cls = name.split(".")
+    hand = LinkerHand(model, side)
+    channel = f"{model} {side}"
+    with serve_can(hand, can.Bus(channel, interface="virtual")):
+        make = getattr(importlib.import_module(f"linkerbot.hand.{module}"), cls)
+        host = make(side=side, interface_name=channel, interface_type="virtual")
+        try:
+            host.angle.set_angles([20.0] * joints)
+            time.sleep(0.8)
+            angles = host.angle.get_blocking(timeout_ms=1000).angles.to_list()
+            assert angles == pytest.approx([20.0] * joints)
+            temperatures = host.temperature.get_blocking(timeout_ms=1000).temperatures
+            assert temperatures.to_list() == [30.0] * joints
+        finally:
+            host.close()
+
+
+# --- DexHand021: tests/test_dexhand_protocol.py and commands.py of DexRobot's pyzlg_dexhand
+
+
+def _fd(hand: DexHand021, identifier: int, data: str) -> list[tuple[int, str]]:
+    frame = can.Message(
+        arbitration_id=identifier, data=_hex(data), is_extended_id=False, is_fd=True
+    )
+    return [(m.arbitration_id, bytes(m.data).hex(" ")) for m in hand.answer(frame)]
+
+
+def test_dexhand021_confirms_configurations_as_the_maker_checks_them():
+    hand = DexHand021("left")
+    assert _fd(hand, 0x001, "03 A4") == [(0x081, "03 a4 00 01")]
+    assert _fd(hand, 0x001, "03 74 01 32 01") == [(0x081, "03 74 00 01")]
+    assert _fd(hand, 0x007, "03 A4") == []  # a board of the right hand
+    classic = can.Message(arbitration_id=0x001, data=_hex("03 A4"), is_extended_id=False)
+    assert hand.answer(classic) == []
+
+
+def test_dexhand021_moves_in_hundredths_of_a_degree_and_sends_feedback(clock):
+    hand = DexHand021("left")
+    _fd(hand, 0x001, "03 74 01 32 01")
+    # cascaded, both motors, 1000 and -2000: the values of the maker's test
+    assert _fd(hand, 0x101, "44 03 E8 03 30 F8") == []
+    clock.advance(1)
+    (feedback,) = hand.poll()
+    data = bytes(feedback.data)
+    assert feedback.arbitration_id == 0x181
+    assert len(data) == 48
+    assert np.allclose(hand.motors.positions[:2], [10, -20])
+    assert data[12:16] == _hex("E8 03 30 F8")
+    assert hand.poll() == []
+    clock.advance(0.5)  # 50 x 10 ms
+    assert len(hand.poll()) == 1
+
+
+def test_dexhand021_stalled_motor_sends_the_frame_that_was_captured_from_a_hand(clock):
+    hand = DexHand021("right")
+    hand.motors.stuck.add(4)  # motor 1 of board 9
+    _fd(hand, 0x109, "44 01 E8 03 00 00")
+    assert hand.poll() == []
+    clock.advance(0.6)
+    (error,) = hand.poll()
+    assert error.arbitration_id == 0x609
+    assert bytes(error.data) == b"\xee\x01\x04".ljust(64, b"\0")
+    hand.motors.stuck.clear()
+    _fd(hand, 0x109, "44 01 E8 03 00 00")
+    clock.advance(1)
+    assert hand.motors.positions[4] == 0
+    _fd(hand, 0x009, "03 A4")
+    _fd(hand, 0x109, "44 01 E8 03 00 00")
+    clock.advance(1)
+    assert hand.motors.positions[4] == 10

@@ -29,11 +29,10 @@ Only what the driver uses is here: no homing by command, trim or speeds.
 from __future__ import annotations
 
 import struct
-import time
 
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 
 _FULL_SPEED = 2 * 65535.0  # units per second at a speed of 32766
 
@@ -44,21 +43,12 @@ def frame(operation: int, *words: int) -> bytes:
 
 
 class AeroHand:
-    """A simulated Aero Hand Open; bytes in, bytes out.
+    """A simulated Aero Hand Open; bytes in, bytes out; positions 0 to 65535."""
 
-    hand = AeroHand("right")                      # or with clock=ManualClock()
-    with SerialLine(hand) as line: ...            # the driver opens `line.port`
-    hand.faults.silent = True; line.unplug(); line.plug(); hand.reboot()
-    hand.faults.answer_wrongly("short")           # or "operation"
-    hand.homing = True                            # it is deaf
-    hand.motors.stuck.add(4); hand.motors.temperatures[5] = 75
-    hand.motors.positions, hand.speeds, hand.torques    # state; positions 0 to 65535
-    """
-
-    def __init__(self, side: str, *, clock: Clock = time.monotonic) -> None:
+    def __init__(self, side: str) -> None:
         self.side = side
         self.faults = Faults("short", "operation")
-        self.motors = Motors(np.zeros(7), _FULL_SPEED, clock=clock)
+        self.motors = Motors(np.zeros(7), _FULL_SPEED)
         self.received: list[bytes] = []
         self.homing = False
         self._unasked = b""

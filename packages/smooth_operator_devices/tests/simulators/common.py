@@ -1,8 +1,4 @@
-"""What all simulated hands share: a clock, motors with a limited speed, faults, and transports.
-
-A test can drive time itself: `clock = ManualClock()`, `clock.advance(0.5)`. Without a clock the
-motors move in real time.
-"""
+"""What all simulated hands share: motors with a limited speed, faults, and transports."""
 
 from __future__ import annotations
 
@@ -12,26 +8,11 @@ import select
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
-
-Clock = Callable[[], float]
-
-
-class ManualClock:
-    """A clock that moves only when a test says so, in seconds."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def advance(self, seconds: float) -> None:
-        self.now += seconds
 
 
 class Motors:
@@ -43,28 +24,21 @@ class Motors:
         powered: False for a motor without torque; it stays where it is.
         stuck: Motors that something holds; they stay, and their current is `stall_current`.
         temperatures: °C.
-        moving_current, stall_current: Current of a motor that moves, and of one that is stuck.
+        stall_current: Current of a motor that is stuck; of one that moves it is 150.
     """
 
     def __init__(
-        self,
-        start: Sequence[float],
-        speed: float,
-        *,
-        clock: Clock = time.monotonic,
-        moving_current: float = 150.0,
-        stall_current: float = 800.0,
+        self, start: Sequence[float], speed: float, *, stall_current: float = 800.0
     ) -> None:
-        self._clock = clock
+        self._clock = time.monotonic
         self._lock = threading.RLock()
         self._positions = np.array(start, dtype=float)
-        self._time = clock()
+        self._time = self._clock()
         self.targets = self._positions.copy()
         self.speed = np.full(len(self._positions), float(speed))
         self.powered = np.ones(len(self._positions), dtype=bool)
         self.stuck: set[int] = set()
         self.temperatures = np.full(len(self._positions), 30.0)
-        self.moving_current = moving_current
         self.stall_current = stall_current
 
     def __len__(self) -> int:
@@ -95,7 +69,7 @@ class Motors:
     def currents(self) -> np.ndarray:
         """Unsigned currents now."""
         away = self.powered & ~np.isclose(self.targets, self.positions)
-        currents = np.where(away, self.moving_current, 0.0)
+        currents = np.where(away, 150.0, 0.0)
         for motor in self.stuck:
             currents[motor] = self.stall_current if away[motor] else 0.0
         return currents
@@ -158,23 +132,14 @@ class Faults:
         return self._wrong.pop(0) if self._wrong else self.garbled
 
 
-class SerialDevice(Protocol):
-    """A device that takes bytes and gives bytes.
-
-    A device that speaks unasked also has `poll() -> bytes`, which a line calls again and again.
-    """
-
-    def receive(self, data: bytes) -> bytes:
-        """Take bytes from the line and return the bytes of the answers, maybe none."""
-
-
 class SerialLine:
     """A serial line to a simulated device: a pseudo terminal, where the platform has one.
 
-    `port` is the path that a driver opens. It stays the same after `unplug` and `plug`.
+    The device has `receive(data)`, which returns the bytes of its answers, and `poll()` if it sends
+    by itself. `port` is the path that a driver opens. It stays the same after `unplug` and `plug`.
     """
 
-    def __init__(self, device: SerialDevice, *, echo: bool = False) -> None:
+    def __init__(self, device: Any, *, echo: bool = False) -> None:
         if not hasattr(os, "openpty"):
             raise OSError("this platform has no pseudo terminals: give bytes to `device.receive`")
         self.device = device

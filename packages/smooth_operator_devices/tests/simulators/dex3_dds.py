@@ -19,7 +19,6 @@ joints (here none), and the values of `motorstate` and `error` (here 0, until a 
 """
 
 import threading
-import time
 import types
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +32,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 
 ORDER = {
     "left": ("thumb_0", "thumb_1", "thumb_2", "middle_0", "middle_1", "index_0", "index_1"),
@@ -107,30 +106,18 @@ HandState = _message(
 
 
 class Dex3Hand:
-    """A simulated Dex3-1 that reads commands and writes states on a DDS domain.
+    """A simulated Dex3-1 that reads commands and writes states on a DDS domain, in rad."""
 
-        with Dex3Hand("left", domain=1) as hand: ...       # the driver uses the same domain
-        hand.faults.silent = True                          # outage: neither hears nor writes
-        hand.faults.answer_wrongly("short")                # a state of five motors
-        hand.motors.stuck.add(3); hand.motors.temperatures[0] = 90; hand.motor_errors[2] = 4
-        hand.motors.positions, hand.commands               # state [rad]; all commands it heard
-
-    A second program is a second writer on the topic of the commands.
-    """
-
-    def __init__(
-        self, side: str, domain: int = 1, *, rate: float = 500.0, clock: Clock = time.monotonic
-    ) -> None:
+    def __init__(self, side: str, domain: int) -> None:
         self.side = side
         self.faults = Faults("short")
-        self.motors = Motors(np.zeros(7), 6.0, clock=clock)
+        self.motors = Motors(np.zeros(7), 6.0)
         self.motors.set_power(False)
         self.motor_errors = [0] * 7
         self.error = [0, 0]
         self.pressure = np.zeros((9, 12))
         self.commands: list[HandCmd] = []
         self._modes = [0] * 7
-        self._rate = rate
         self._domain = domain
         self._ended = threading.Event()
 
@@ -155,7 +142,7 @@ class Dex3Hand:
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._ended.wait(1 / self._rate):
+        while not self._ended.wait(1 / 500):
             for command in self._reader.take(100):
                 if isinstance(command, HandCmd) and not self.faults.silent:
                     self.obey(command)

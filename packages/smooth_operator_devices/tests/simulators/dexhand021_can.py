@@ -34,7 +34,7 @@ import time
 import can
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 
 BASES = {"left": 0x01, "right": 0x07}
 JOINTS = (
@@ -46,25 +46,17 @@ OVERLOAD, STALL = 1, 4  # bits of motor 1; of motor 2 they are 4 bits higher
 
 
 class DexHand021:
-    """A simulated DexHand021.
+    """A simulated DexHand021, in degrees."""
 
-    hand = DexHand021("right")                    # or with clock=ManualClock()
-    with serve_can(hand, can.Bus("a", interface="virtual")): ...  # the driver opens "a", too
-    hand.faults.silent = True; hand.faults.answer_wrongly("identifier")   # or "short"
-    hand.motors.stuck.add(4); hand.raise_error("ff_mcp", OVERLOAD); hand.reboot()
-    hand.dead_boards.add(3)                       # a board without power
-    hand.motors.positions, hand.modes             # state, in degrees
-    """
-
-    def __init__(self, side: str, *, clock: Clock = time.monotonic) -> None:
+    def __init__(self, side: str) -> None:
         self.side = side
         self.base = BASES[side]
         self.faults = Faults("identifier", "short")
-        self.motors = Motors(np.zeros(12), 240.0, clock=clock)  # degrees, degrees per second
+        self.motors = Motors(np.zeros(12), 240.0)  # degrees, degrees per second
         self.dead_boards: set[int] = set()
         self.touch = [{"normal": 0.0, "tangential": 0.0, "direction": 0} for _ in range(6)]
         self.received: list[tuple[int, bytes]] = []
-        self._clock = clock
+        self._clock = time.monotonic
         self.reboot()
 
     def reboot(self) -> None:

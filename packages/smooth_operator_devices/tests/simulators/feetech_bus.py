@@ -32,10 +32,9 @@ STS' current are not here: the driver does not use them.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 BROADCAST = 0xFE
@@ -165,23 +164,14 @@ class Servo:
 
 
 class FeetechBus:
-    """A simulated line of Feetech servos; bytes in, bytes out.
+    """A simulated line of Feetech servos; bytes in, bytes out; identifier -> model."""
 
-    bus = FeetechBus({1: "scs0009", 2: "scs0009"})      # or with clock=ManualClock()
-    with SerialLine(bus) as line: ...                   # the driver opens `line.port`
-    bus.faults.silent = True; line.unplug(); line.plug()          # outages
-    bus.faults.answer_wrongly("checksum")               # or "identifier", "short"
-    bus.absent.add(2); bus.motors.stuck.add(0); bus.motors.temperatures[0] = 80; bus.reboot()
-    bus.motors.positions, bus.servos[1].word(42)        # state, in steps
-    line.second_program(packet(1, READ, bytes([56, 2])))  # the driver hears the answer
-    """
-
-    def __init__(self, servos: dict[int, str], *, clock: Clock = time.monotonic) -> None:
+    def __init__(self, servos: dict[int, str]) -> None:
         models = [MODELS[name] for name in servos.values()]
         self.faults = Faults("checksum", "identifier", "short")
         self.absent: set[int] = set()
         middle = [model.steps // 2 - (1 if model.steps == 1024 else 0) for model in models]
-        self.motors = Motors(middle, 1.0, clock=clock)
+        self.motors = Motors(middle, 1.0)
         for i, model in enumerate(models):
             self.motors.set_speed(i, 4 * model.steps)
         self.servos = {

@@ -35,11 +35,10 @@ import socket
 import socketserver
 import struct
 import threading
-import time
 
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 from .modbus_rtu import RtuDevice
 
 FINGERS = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotation")
@@ -59,21 +58,12 @@ _RANGES = (range(1000, 1056), range(1474, 1624), range(1700, 1704), range(3000, 
 
 
 class InspireTouchHand:
-    """A simulated Inspire hand with touch cells, a TCP server on the loopback.
+    """A simulated Inspire hand with touch cells, a TCP server on the loopback; angles 0 to 1000."""
 
-    with InspireTouchHand() as hand:                   # or with clock=ManualClock()
-        ...                                            # the driver connects to hand.address
-        hand.transaction_shift = 1                     # answers off by one
-        hand.faults.silent = True; hand.hang_up()      # outages: no answers; connections closed
-        hand.faults.answer_wrongly("unit")             # or "short"
-        hand.touch["index", "tip"][1, 2] = 900; hand.errors[3] |= 1; hand.reboot()
-        hand.motors.positions, hand.word(1498)         # state: angles 0 to 1000
-    """
-
-    def __init__(self, *, clock: Clock = time.monotonic) -> None:
+    def __init__(self) -> None:
         self.transaction_shift = 0
         self.faults = Faults("unit", "short")
-        self.motors = Motors(np.full(6, 1000.0), 1000 / 0.6, clock=clock)
+        self.motors = Motors(np.full(6, 1000.0), 1000 / 0.6)
         self.errors = np.zeros(6, dtype=int)
         self.forces = np.zeros(6, dtype=int)
         self.touch = {name: np.zeros(shape, dtype=int) for name, (_, shape) in TOUCH.items()}

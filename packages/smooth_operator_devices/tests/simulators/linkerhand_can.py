@@ -36,13 +36,12 @@ maker's programs wait 0.3 to 5 ms).
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import can
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 
 IDENTIFIERS = {"left": 0x28, "right": 0x27}
 
@@ -81,7 +80,6 @@ class Model:
     temperatures: Layout = field(default_factory=dict)
     faults: Layout = field(default_factory=dict)
     currents: Layout = field(default_factory=dict)
-    silent_writes: Layout = field(default_factory=dict)  # positions that are not answered
     clear: int | None = None  # kind that clears faults
     clears_by_fault_frame: bool = False  # a write of a fault frame clears, too
     touch_row: int = 6  # values of a row of the touch matrix
@@ -165,12 +163,6 @@ MODELS = {
             0x03: (10, None, None, None, None),
             0x04: _run(11, 5),
         },
-        silent_writes={
-            0x11: _run(0, 5),
-            0x12: _run(5, 5),
-            0x13: (10, None, None, None, None),
-            0x14: _run(11, 5),
-        },
         speeds={0x05: _run(0, 5)},  # one value a finger
         currents={0x06: _run(0, 5)},
         faults={0x07: _run(0, 5)},
@@ -192,26 +184,15 @@ MODELS = {
 
 
 class LinkerHand:
-    """A simulated LinkerHand.
+    """A simulated LinkerHand; values 0 to 255."""
 
-        hand = LinkerHand("L6", "left")            # or with clock=ManualClock()
-        with serve_can(hand, can.Bus("a", interface="virtual")): ...   # the driver opens "a", too
-        hand.faults.silent = True                  # outage; False again: it is back
-        hand.faults.answer_wrongly("identifier")   # or "short"
-        hand.motors.stuck.add(2); hand.raise_fault("index", 1 << 3); hand.reboot()
-        hand.motors.positions, hand.torques, hand.speeds  # state, in the device's 0 to 255
-
-    A second program on the bus is a second `can.Bus` that sends frames with the same identifier.
-    """
-
-    def __init__(self, model: str, side: str, *, clock: Clock = time.monotonic) -> None:
+    def __init__(self, model: str, side: str) -> None:
         self.model = MODELS[model]
-        self.name = model
         self.side = side
         self.identifier = IDENTIFIERS[side]
         count = len(self.model.joints)
         self.faults = Faults("identifier", "short")
-        self.motors = Motors(np.full(count, 255.0), 400.0, clock=clock)
+        self.motors = Motors(np.full(count, 255.0), 400.0)
         self.touch = {
             finger: np.zeros((self.model.touch_rows, self.model.touch_row), dtype=np.uint8)
             for finger in _FIVE
@@ -257,11 +238,9 @@ class LinkerHand:
 
     def _answers(self, kind: int, values: bytes) -> list[bytes]:
         model = self.model
-        if kind in model.positions or kind in model.silent_writes:
-            places = {**model.positions, **model.silent_writes}[kind]
+        if kind in model.positions:
+            places = model.positions[kind]
             if values and not self._write(places, values, self._move):
-                return []
-            if kind in model.silent_writes:
                 return []
             return [self._frame(kind, places, np.clip(self.motors.positions.round(), 0, 255))]
         for frames, settings in ((model.torques, self.torques), (model.speeds, self.speeds)):

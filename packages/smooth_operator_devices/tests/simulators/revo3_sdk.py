@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 from .sdk import module
 
 _FINGER = ("abd", "mcp", "pip", "dip")
@@ -99,24 +99,15 @@ class JointLayout:
 
 @dataclass
 class Revo3:
-    """A simulated Revo 3.
-
-    hand = Revo3("right")                              # or with clock=ManualClock()
-    with installed(revo3_modules(hand)): ...           # the driver imports bc_revo3_sdk
-    hand.faults.silent = True                          # outage: SdkError Timeout
-    hand.faults.answer_wrongly("timeout")              # or "fault": one call fails
-    hand.motors.stuck.add(4); hand.motor_faults[4] = 8; hand.reboot()
-    hand.motors.positions, hand.sent                   # state [degrees]; commands it got
-    """
+    """A simulated Revo 3, in degrees."""
 
     side: str = "right"
     port: str = "/dev/ttyUSB0"
     model: Revo3Model = Revo3Model.Ultra
-    clock: Clock = time.monotonic
     faults: Faults = field(default_factory=lambda: Faults("timeout", "fault"))
 
     def __post_init__(self) -> None:
-        self.motors = Motors(np.zeros(COUNT), 360.0, clock=self.clock)
+        self.motors = Motors(np.zeros(COUNT), 360.0)
         self.sent: list[tuple[str, object]] = []
         self.reboot()
 
@@ -158,20 +149,20 @@ class Revo3:
 class ServoSession:
     def __init__(self, hand: Revo3, command_timeout_ms: int) -> None:
         self._hand, self._timeout = hand, command_timeout_ms / 1000
-        self._fed, self._closed, self._expired = hand.clock(), False, False
+        self._fed, self._closed, self._expired = time.monotonic(), False, False
 
     @property
     def state(self) -> ServoSessionState:
         if self._closed:
             return ServoSessionState.Closed
-        if self._hand.clock() - self._fed > self._timeout:
+        if time.monotonic() - self._fed > self._timeout:
             self._expired = True
         return ServoSessionState.Expired if self._expired else ServoSessionState.Active
 
     def _feed(self) -> None:
         if self.state is not ServoSessionState.Active:
             raise SdkError(SdkErrorCode.InvalidState, f"servo session is {self.state.name}")
-        self._fed = self._hand.clock()
+        self._fed = time.monotonic()
 
     async def send_position(self, position_deg: Sequence[float]) -> None:
         self._feed()

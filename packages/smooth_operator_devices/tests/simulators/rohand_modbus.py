@@ -30,7 +30,7 @@ import time
 
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 from .modbus_rtu import RtuDevice
 
 FINGERS = ("thumb", "index", "middle", "ring", "little", "thumb_rotation")
@@ -40,33 +40,19 @@ NOT_INITIALISED = 1
 
 
 class RoHand(RtuDevice):
-    """A simulated ROHand; bytes in, bytes out.
-
-    hand = RoHand(generation=2)                   # or with clock=ManualClock()
-    with SerialLine(hand) as line: ...            # the driver opens `line.port`
-    hand.faults.silent = True; line.unplug(); line.plug(); hand.reboot()
-    hand.faults.answer_wrongly("checksum")        # or "identifier", "short"
-    hand.motors.stuck.add(1); hand.forces[2] = 900
-    hand.motors.positions, hand.read(1095, 6)     # state, in the device's 0 to 65535
-    """
+    """A simulated ROHand; bytes in, bytes out; positions 0 to 65535."""
 
     node = 2
 
-    def __init__(
-        self,
-        generation: int = 2,
-        *,
-        init_time: float = 0.0,
-        clock: Clock = time.monotonic,
-    ) -> None:
+    def __init__(self, generation: int = 2) -> None:
         self.generation = generation
-        self.init_time = init_time
+        self.init_time = 0.0
         self.faults = Faults(*self.WRONG)
-        self.motors = Motors(np.zeros(6), 65535.0, clock=clock)
+        self.motors = Motors(np.zeros(6), 65535.0)
         self.forces = np.zeros(5, dtype=int)  # mN
-        self._clock = clock
+        self._clock = time.monotonic
         self._start()
-        self._ready_at = clock()
+        self._ready_at = self._clock()
 
     def _start(self) -> None:
         self._registers = {

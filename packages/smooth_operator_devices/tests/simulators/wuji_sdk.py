@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 from .sdk import module
 
 STALL, OVERCURRENT = 0x0007, 0x2102
@@ -94,26 +94,16 @@ class JointDiagnosticsFrame:
 
 @dataclass
 class Hand:
-    """A simulated Wuji Hand 2 on the network.
-
-    hand = Hand("left")                                   # or with clock=ManualClock()
-    with installed(wuji_modules(hand)): ...               # the driver imports wuji_sdk
-    hand.faults.silent = True                             # outage: no frames, calls fail
-    hand.faults.answer_wrongly("missing")                 # a frame without its first joint
-    hand.offline.add(7); hand.set_fault(3, OVERCURRENT); hand.motors.stuck.add(2); hand.reboot()
-    hand.motors.positions, hand.enabled, hand.effort_limits   # state [rad], [A]
-    """
+    """A simulated Wuji Hand 2 on the network, in rad and A."""
 
     side: str = "right"
     sn: str = ""
-    clock: Clock = time.monotonic
-    state_rate: float = 500.0
     faults: Faults = field(default_factory=lambda: Faults("missing"))
     offline: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.sn = self.sn or "WH2" + ("J" if self.side == "left" else "K") + "0000001"
-        self.motors = Motors(np.zeros(20), 6.0, clock=self.clock)
+        self.motors = Motors(np.zeros(20), 6.0)
         self.connected = False
         self.commands: list[list[tuple[float, float, float]]] = []
         self.reboot()
@@ -188,12 +178,12 @@ def _nid(joint: int) -> int:
 class Subscription:
     def __init__(self, hand: Hand, make: Callable[[], object], rate: float) -> None:
         self._hand, self._make, self._rate = hand, make, rate
-        self._next, self._closed = hand.clock(), False
+        self._next, self._closed = time.monotonic(), False
 
     def recv(self) -> object:
         if self._closed or not self._hand.connected:
             raise WujiException("StreamClosed: Stream closed")
-        now = self._hand.clock()
+        now = time.monotonic()
         if self._hand.faults.silent or now < self._next:
             return None
         self._next = now + 1 / self._rate
@@ -289,7 +279,7 @@ class WujiHand2:
         return JointCommandResource(self._hand)
 
     def joint_states(self) -> _States:
-        return _States(self._hand, self._hand.states, self._hand.state_rate)
+        return _States(self._hand, self._hand.states, 500.0)
 
     def joint_diagnostics(self) -> _States:
         return _States(self._hand, self._hand.diagnostics, 100.0)

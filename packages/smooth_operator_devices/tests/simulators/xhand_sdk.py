@@ -23,12 +23,11 @@ taking time, the strings of `get_hand_type`, and which calls changed up to 1.1.7
 
 from __future__ import annotations
 
-import time
 import types
 
 import numpy as np
 
-from .common import Clock, Faults, Motors
+from .common import Faults, Motors
 from .sdk import module
 
 INVALID_DEVICE_ID, DEVICE_NOT_INIT, OPEN_DEVICE_FAILED = 1501037, 1501038, 1501039
@@ -103,30 +102,13 @@ class ErrorStruct:
 
 
 class XHand:
-    """A simulated XHand 1 on a port.
+    """A simulated XHand 1 on a port, in rad; ``occupied`` is True while another program has it."""
 
-        hand = XHand("right", port="/dev/ttyUSB0", identifier=1)   # or with clock=ManualClock()
-        with installed(xhand_modules(hand)): ...                   # the driver imports the SDK
-        hand.faults.silent = True                                  # outage: error codes
-        hand.faults.answer_wrongly("error")                        # one call fails
-        hand.motors.stuck.add(5); hand.joint_errors[5] = 2; hand.reboot()
-        hand.motors.positions, hand.commands                       # state [rad]; commands it got
-
-    A second program with the same port: `hand.occupied = True` makes opening fail.
-    """
-
-    def __init__(
-        self,
-        side: str = "right",
-        port: str = "/dev/ttyUSB0",
-        identifier: int = 0,
-        *,
-        clock: Clock = time.monotonic,
-    ) -> None:
+    def __init__(self, side: str, port: str, identifier: int) -> None:
         self.side, self.port, self.identifier = side, port, identifier
         self.occupied = False
         self.faults = Faults("error")
-        self.motors = Motors(np.zeros(12), 4.0, clock=clock)
+        self.motors = Motors(np.zeros(12), 4.0)
         self.joint_errors = [0] * 12
         self.forces = np.zeros((5, 3), dtype=int)  # of the fingertips: -128 to 127, z 0 to 255
         self.commands: list[list[tuple[float, ...]]] = []
