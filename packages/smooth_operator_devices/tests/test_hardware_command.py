@@ -6,7 +6,6 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import SinkError
 from smooth_operator_devices.hands.actuator_map import ActuatorMap, read_table
 from smooth_operator_devices.hands.device import Reading
-from smooth_operator_devices.hands.table_check import ActuatorMover, TableCheck, blank_table
+from smooth_operator_devices.hands.table_check import ActuatorMover, TableCheck
 
 
 @pytest.fixture(autouse=True)
@@ -173,12 +172,6 @@ def test_a_check_stops_at_four_fifths_of_the_limit(table, current, free):
         assert mover.move(0, 230.0) == free
 
 
-def test_a_blank_table_has_the_ids(hand):
-    made = blank_table("dynamixel", hand, [3, 5], "step", (1000.0, 3000.0), 200.0)
-    assert [a.id for a in made.actuators] == [3, 5]
-    assert made.limits.tolist() == [200.0, 200.0]
-
-
 @pytest.fixture
 def device(tmp_path, hand, monkeypatch) -> tuple[str, list[FakeHand]]:
     """A sink as a user names it, and the hands that it made."""
@@ -229,15 +222,8 @@ def test_the_monitor_shows_the_hand_and_moves_nothing(capsys, device, hand):
 def test_the_check_writes_the_users_table(capsys, device, tmp_path, monkeypatch):
     name, _ = device
     replies = iter(["", "k", "k", "", "", "q"])
-
-    def reply(_: str) -> str:
-        return next(replies)
-
-    monkeypatch.setattr("builtins.input", reply)
-    quick: Any = ActuatorMover.__init__
-    monkeypatch.setattr(
-        ActuatorMover, "__init__", lambda self, d, t: quick(self, d, t, seconds=0.05)
-    )
+    monkeypatch.setattr("builtins.input", lambda _: next(replies))
+    monkeypatch.setattr(ActuatorMover.__init__, "__defaults__", (0.05,))  # a quick check
     assert main(["hardware", "check", name, "--hand", "mimic_p050"]) == 0
     written = tmp_path / "hands" / "hardware" / "fake_right.toml"
     assert str(written) in capsys.readouterr().out.replace("\n", "")

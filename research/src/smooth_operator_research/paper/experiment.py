@@ -20,7 +20,7 @@ from smooth_operator.errors import DocumentError, UnknownNameError, counted
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.parallel import TaskResult
-from smooth_operator.planning import PROGRAM, read_configuration
+from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import (
     Job,
     Note,
@@ -265,9 +265,6 @@ class ExperimentFolder:
         self.folder = folder
         self.environment = environment()
         check_folder(folder)
-        before = read_configuration(folder / CONFIG)
-        if before is not None and "code" not in before:
-            note(f"{folder} was written by an earlier version: its cells are computed again")
         self.cells = ArrayCache(folder / CELLS, note)
         config = {"program": PROGRAM, "command": COMMAND, "settings": dict(settings)}
         write_json(

@@ -58,19 +58,16 @@ def most_cycles(points: Sequence[Point], samples: int) -> int:
     return max(point.cycles for point in points if point.samples == samples)
 
 
-def contours(points: Sequence[Point], fewest: int = 3) -> list[list[Point]]:
+def contours(points: Sequence[Point]) -> list[list[Point]]:
     """Cells of equal N x L, from the widest (largest N) to the deepest (largest L).
 
-    Args:
-        fewest: smallest number of cells; shorter contours have no middle and are left out.
-
     Returns:
-        The contours, by budget.
+        The contours, by budget; those of fewer than three cells have no middle and are left out.
     """
     by_budget: dict[int, list[Point]] = {}
     for point in points:
         by_budget.setdefault(point.budget, []).append(point)
-    return [sorted(own, reverse=True) for _, own in sorted(by_budget.items()) if len(own) >= fewest]
+    return [sorted(own, reverse=True) for _, own in sorted(by_budget.items()) if len(own) >= 3]
 
 
 SAMPLING: Final = "sampling"

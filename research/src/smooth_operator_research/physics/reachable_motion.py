@@ -79,9 +79,7 @@ class JointMotion:
         return float(np.abs(np.gradient(self.joints, self.stamps, axis=0)).max())
 
 
-def joint_motion(
-    hand: Hand, seed: int, *, duration: float = 8.0, rate_hz: float = 100.0
-) -> JointMotion:
+def joint_motion(hand: Hand, seed: int, *, duration: float) -> JointMotion:
     """A random motion from the neutral pose, within the limits and free of self-collision.
 
     It is a uniform cubic B-spline with a knot every 0.4 s: twice continuously differentiable,
@@ -93,11 +91,10 @@ def joint_motion(
 
     Args:
         duration: length [s].
-        rate_hz: frames per second [Hz].
     """
     rng = np.random.default_rng(seed)
-    per_knot = round(KNOT_S * rate_hz)
-    count = round(duration * rate_hz)
+    per_knot = round(KNOT_S * RATE_HZ)
+    count = round(duration * RATE_HZ)
     segments = -(-count // per_knot)
     poses = _KeyPoses(hand, rng)
     control = [hand.neutral] * 4  # still for one segment
@@ -121,7 +118,7 @@ def joint_motion(
         deepest = max(deepest, depth)
     joints = spline(control, per_knot)[:count]
     measurable = penetration_depths(hand, hand.full_configuration(joints[:1])) is not None
-    return JointMotion(np.arange(count) / rate_hz, joints, pinches, deepest if measurable else None)
+    return JointMotion(np.arange(count) / RATE_HZ, joints, pinches, deepest if measurable else None)
 
 
 def spline(control: list[np.ndarray], per_knot: int) -> Float[np.ndarray, "T m"]:
@@ -270,12 +267,7 @@ class AskedMotion:
 
 
 def reachable_motion(
-    hand: Hand,
-    seed: int,
-    *,
-    tracker: str | None = None,
-    duration: float = SECONDS,
-    rate_hz: float = RATE_HZ,
+    hand: Hand, seed: int, *, tracker: str | None = None, duration: float = SECONDS
 ) -> AskedMotion:
     """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
 
@@ -283,9 +275,8 @@ def reachable_motion(
         tracker: kind of tracker whose shake is added to the fingertips, at the rate of the motion
             and without its delay, losses and pinch gaps; None for no shake.
         duration: length [s].
-        rate_hz: frames per second [Hz].
     """
-    return _asked(hand, joint_motion(hand, seed, duration=duration, rate_hz=rate_hz), seed, tracker)
+    return _asked(hand, joint_motion(hand, seed, duration=duration), seed, tracker)
 
 
 def _asked(hand: Hand, motion: JointMotion, seed: int, tracker: str | None) -> AskedMotion:
@@ -303,7 +294,7 @@ def _asked(hand: Hand, motion: JointMotion, seed: int, tracker: str | None) -> A
 @lru_cache(maxsize=8)
 def _motion(hand_name: str, side: Side, seed: int, duration: float) -> JointMotion:
     """Motion of a seed, cached for the methods, which run one after another."""
-    return joint_motion(load_hand(hand_name, side), seed, duration=duration, rate_hz=RATE_HZ)
+    return joint_motion(load_hand(hand_name, side), seed, duration=duration)
 
 
 class ReachableMotion:

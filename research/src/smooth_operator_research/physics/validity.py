@@ -122,14 +122,14 @@ def indentation(force: float, thing: GraspObject) -> float:
     return world.depth
 
 
-def energy_gain(thing: GraspObject, height: float = 0.05) -> tuple[float, float]:
-    """Drops an object on a pad.
+def energy_gain(thing: GraspObject) -> tuple[float, float]:
+    """Drops an object on a pad from 50 mm above it.
 
     Returns:
         largest gain of energy, as a fraction of the energy of the fall; and the height of the
         bounce, as a fraction of the height of the fall.
     """
-    world = _world(STEP_S)
+    world, height = _world(STEP_S), 0.05
     pad = world.worldbody.add_body(name=_PADS[0], pos=(0.0, 0.0, _HIGH))
     pad.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(_RADIUS, _HALF, 0.0))
     top = _HIGH + _RADIUS + _HALF + thing.width / 2

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.retargeter import Retargeter
-from smooth_operator.simulation.scenes.physics import ObjectVariation, ScenePhysics
+from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import SimulatedTask
@@ -100,7 +100,6 @@ def simulate_trial(
     resets: int = 1,
     seconds: float | None = None,
     seed: int = 0,
-    variation: ObjectVariation | None = None,
     trace: bool = False,
 ) -> OperatorTrial:
     """Simulates a trial of a person with a retargeter.
@@ -111,12 +110,9 @@ def simulate_trial(
         practised_here: number of earlier trials with this retargeter.
         resets: number of times that the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
-        variation: variation of the object; None for the nominal object.
         trace: True to record the trial.
     """
     scene, reach = _prepared(task.name, familiar.retargeter.hand)
-    if variation is not None:
-        scene = variation.scene(scene)
     source = _Tracked(
         familiar, task, scene, reach, tracker, practised, practised_here, resets, seed
     )
@@ -131,7 +127,6 @@ def simulate_trial(
         seed=seed,
         interventions=source.intervention,
         trace=trace,
-        prepare=None if variation is None else variation.prepare,
     )
     outcome = Outcome(
         result.score, result.line, result.seconds, result.ended, result.reason, result.resets
