@@ -61,25 +61,22 @@ class AbilityHand:
         command = frame[1]
         if self.faults.silent:
             return b""
-        if command in (0x10, 0x11, 0x12) and len(frame) == 15:
+        if command == 0x10 and len(frame) == 15:
             self.motors.move([value / DEGREE for value in struct.unpack("<6h", frame[2:14])])
             self.motors.set_power(True)
-        elif command in (0x30, 0x31, 0x32) and len(frame) == 15:
+        elif command == 0x30 and len(frame) == 15:
             self.motors.set_power(any(struct.unpack("<6h", frame[2:14])))
-        elif command not in (0xA0, 0xA1, 0xA2):
+        elif command != 0xA0:
             return b""
-        return self._reply(command & 0xF)
+        return self._reply()
 
-    def _reply(self, variant: int) -> bytes:
+    def _reply(self) -> bytes:
         where = np.rint(self.motors.positions * DEGREE).astype(int)
         currents = np.rint(self.motors.currents * MILLIAMPERE).astype(int)
         pairs = [value for both in zip(where, currents, strict=True) for value in both]
-        body = bytes([variant]) + struct.pack("<12h", *pairs)
-        if variant == 2:
-            body += struct.pack("<6h", *([0] * 6))
-        else:
-            for one, two in zip(self.touch[::2], self.touch[1::2], strict=True):
-                body += (one | two << 12).to_bytes(3, "little")
+        body = b"\0" + struct.pack("<12h", *pairs)
+        for one, two in zip(self.touch[::2], self.touch[1::2], strict=True):
+            body += (one | two << 12).to_bytes(3, "little")
         body += bytes([self.hot])
         check = -sum(body) & 0xFF
         if self.faults.next_wrong():

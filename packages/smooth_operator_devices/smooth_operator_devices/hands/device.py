@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, TypeVar
 
@@ -149,6 +149,11 @@ class HandDevice(ABC):
         if part is None:
             raise DeviceLostError(f"{self.driver}: the hand is not open")
         return part
+
+    def _reports(self, values: Iterable[_T], words: Callable[[_T], str]) -> tuple[str, ...]:
+        """``Reading.errors`` by a value of each actuator; no report where there are no words."""
+        pairs = zip(self._table.names, map(words, values), strict=False)
+        return tuple(f"{name}: {text}" for name, text in pairs if text)
 
     @abstractmethod
     def open(self) -> None:

@@ -108,11 +108,11 @@ class AbilityDevice(HandDevice):
         pairs = np.array(struct.unpack("<12h", body[1:25]), float)
         packed = np.frombuffer(body[25:70], np.uint8).reshape(15, 3).astype(int)
         words = packed @ [1, 1 << 8, 1 << 16]
-        hot = [n for k, n in enumerate(self._table.names) if body[70] >> k & 1]
+        hot = [body[70] >> k & 1 for k in range(MOTORS)]
         return Reading(
             positions=pairs[::2] / DEGREE,
             currents=pairs[1::2] / MILLIAMPERE,
-            errors=tuple(f"{name}: too hot" for name in hot),
+            errors=self._reports(hot, lambda bit: "too hot" if bit else ""),
             touch=np.stack([words & 0xFFF, words >> 12], axis=1).ravel().astype(float),
         )
 

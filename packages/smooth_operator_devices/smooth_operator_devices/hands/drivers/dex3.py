@@ -122,12 +122,9 @@ class Dex3Device(HandDevice):
         """The next state of the hand; see ``HandDevice``."""
         self._received(0.0)  # what came before
         state = self._state(_TIMEOUT)
-        motors, names = state.motor_state, self._table.names
-        errors = [
-            f"{name}: error 0x{motor.motorstate:X}"
-            for name, motor in zip(names, motors, strict=True)
-            if motor.motorstate
-        ]
+        motors = state.motor_state
+        codes = [motor.motorstate for motor in motors]
+        errors = [*self._reports(codes, lambda code: f"error 0x{code:X}" if code else "")]
         errors += [f"hand: error 0x{code:X}" for code in state.error if code]
         if self._others:
             errors.append("another program commands the hand: end it")

@@ -123,10 +123,9 @@ class DexHand021Device(HandDevice):
             positions=self._angles,
             currents=words[:, [0, 3]].ravel(),
             temperatures=heat,
-            errors=tuple(
-                f"{name}: {', '.join(text for bit, text in enumerate(_ERRORS) if bits >> bit & 1)}"
-                for name, bits in zip(self._table.names, self._bits, strict=True)
-                if bits
+            errors=self._reports(
+                self._bits,
+                lambda bits: ", ".join(t for bit, t in enumerate(_ERRORS) if bits >> bit & 1),
             ),
             touch=np.array(touch, float),
         )

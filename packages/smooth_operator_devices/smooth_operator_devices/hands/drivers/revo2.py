@@ -128,11 +128,7 @@ class Revo2Device(HandDevice):
             positions=positions,
             velocities=None,
             currents=currents,
-            errors=tuple(
-                f"{name}: stalled"
-                for name, state in zip(self._table.names, status.states, strict=False)
-                if state == stalled
-            ),
+            errors=self._reports(status.states, lambda s: "stalled" if s == stalled else ""),
         )
 
     def _set_unit(self) -> None:

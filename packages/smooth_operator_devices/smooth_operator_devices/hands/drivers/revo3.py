@@ -133,11 +133,7 @@ class Revo3Device(HandDevice):
             velocities=6.0 * np.array(rows[1], float),
             currents=np.array(rows[2], float),
             temperatures=self._heat,
-            errors=tuple(
-                f"{name}: fault {code:#x}"
-                for name, code in zip(self._table.names, self._faults, strict=False)
-                if code
-            ),
+            errors=self._reports(self._faults, lambda code: f"fault {code:#x}" if code else ""),
         )
 
     def write(self, commands: Float[np.ndarray, " 21"]) -> None:

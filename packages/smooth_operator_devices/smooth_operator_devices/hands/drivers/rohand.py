@@ -138,11 +138,7 @@ class RohandDevice(HandDevice):
         return Reading(
             positions=np.array(positions, float),
             currents=None if currents is None else np.array(currents, float),
-            errors=tuple(
-                f"{name}: {_STATUSES[state]}"
-                for name, state in zip(self._table.names, states, strict=False)
-                if state in _STATUSES
-            ),
+            errors=self._reports(states, lambda state: _STATUSES.get(state, "")),
             touch=None if forces is None else np.array(forces, float),
         )
 

@@ -209,9 +209,9 @@ class ServoBank(HandDevice):
         self, values: Sequence[int], bits: Mapping[int, str], advice: str = ""
     ) -> tuple[str, ...]:
         """Words for the bits of each servo's error."""
-        errors = []
-        for name, value in zip(self._table.names, values, strict=True):
-            if value:
-                words = ", ".join(text for bit, text in bits.items() if value & bit)
-                errors.append(f"{name}: {words or f'error 0x{value:02x}'}{advice}")
-        return tuple(errors)
+
+        def words(value: int) -> str:
+            named = ", ".join(text for bit, text in bits.items() if value & bit)
+            return f"{named or f'error 0x{value:02x}'}{advice}" if value else ""
+
+        return self._reports(values, words)

@@ -147,11 +147,7 @@ class WujiDevice(HandDevice):
             positions=flat,
             currents=None if efforts is None else 1000.0 * _flat(efforts),
             temperatures=self._temperatures,
-            errors=tuple(
-                f"{name}: error {code:#x}"
-                for name, code in zip(self._table.names, self._codes, strict=True)
-                if code
-            ),
+            errors=self._reports(self._codes, lambda code: f"error {code:#x}" if code else ""),
         )
 
     def write(self, commands: Float[np.ndarray, " 20"]) -> None:

@@ -127,15 +127,14 @@ class Wuji2Device(HandDevice):
             rows[:, self._joint(entry.nid)] = entry.position, entry.velocity, entry.effort
         if not np.isfinite(rows[0]).any():
             raise WrongAnswerError("wuji2: no joint is online")
-        texts = [f"{n}: offline" for n, p in zip(self._table.names, rows[0], strict=True) if p != p]
-        faults = zip(self._table.names, self._codes, strict=True)
-        texts += [f"{name}: {self._fault(code)}" for name, code in faults if code]
+        offline = self._reports(np.isnan(rows[0]), lambda lost: "offline" if lost else "")
+        faults = self._reports(self._codes, lambda code: self._fault(code) if code else "")
         return Reading(
             positions=rows[0],
             velocities=rows[1],
             currents=1000.0 * rows[2],
             temperatures=self._heat.copy(),
-            errors=tuple(texts),
+            errors=offline + faults,
         )
 
     def settings(self) -> Sequence[Setting]:
