@@ -18,7 +18,7 @@ from smooth_hand_datasets.scene import Scene, Thing, checked_count, stamps_at
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table, text
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError, brief, reason
-from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.arrays import npz_arrays
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.types import Side
@@ -41,14 +41,7 @@ class Grab:
 
     def matches(self, path: Path) -> bool:
         """True if a path is an ``.npz`` file with GRAB's tables, or the folder of its tools."""
-        if (path / "subject_meshes").is_dir():
-            return True
-        if path.suffix != ".npz" or not path.is_file():
-            return False
-        try:
-            return all(key in open_arrays(path) for key in _KEYS)
-        except RecordingError:
-            return False
+        return (path / "subject_meshes").is_dir() or set(_KEYS) <= npz_arrays(path).keys()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """List the sequence; yields nothing for the folder of tools."""

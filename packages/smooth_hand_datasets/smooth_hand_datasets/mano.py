@@ -29,7 +29,7 @@ from smooth_hand_datasets.unpickle import (
 )
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, listed
-from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.arrays import npz_arrays
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.formats.foreign import body_parameters
@@ -67,11 +67,8 @@ class Mano:
         """True if a file has the names of a pose and a shape."""
         if not path.is_file():
             return False
-        if path.suffix == ".npz":
-            try:
-                arrays = open_arrays(path)
-            except RecordingError:
-                return False
+        if path.suffix.lower() == ".npz":
+            arrays = npz_arrays(path)
             bare = {name.removeprefix("right_").removeprefix("left_") for name in arrays}
             tables = [arrays[side] for side in SIDES if side in arrays]
             return _complete(bare) or any(one.dtype.hasobject for one in tables)
@@ -165,9 +162,9 @@ def _side(label: Any, where: str) -> Side:
     try:
         if label_text is not None:
             return as_side(label_text)
-        flags = numbers(label).ravel()
-    except (ConfigError, NotDataError) as error:
+    except ConfigError as error:
         raise RecordingError(f"{where}: {error}") from error
+    flags = _numbers(label, where).ravel()
     if not len(flags) or (flags != flags[0]).any() or flags[0] not in (0.0, 1.0):
         raise RecordingError(f"{where}: is_right must be 1 or 0, the same in all frames")
     return "right" if flags[0] else "left"
@@ -282,20 +279,21 @@ def _first(part: Mapping[str, Any], names: tuple[str, ...], label: str) -> np.nd
     if value is None:
         have = listed(sorted(str(key)[:40] for key in part))
         raise RecordingError(f"{label}: it lacks {names[0]}; it has {have or 'nothing'}")
-    try:
-        array = numbers(value)
-    except NotDataError as error:
-        raise RecordingError(f"{label}, {names[0]}: {error}") from error
-    if array.ndim == 0:
+    rows = _numbers(value, f"{label}, {names[0]}")
+    if rows.ndim == 0:
         raise RecordingError(f"{label}: {names[0]} is one number")
-    return array
+    return rows
+
+
+def _numbers(value: Any, label: str) -> np.ndarray:
+    try:
+        return numbers(value)
+    except NotDataError as error:
+        raise RecordingError(f"{label}: {error}") from error
 
 
 def _scalar(value: Any, label: str) -> float:
-    try:
-        values = numbers(value).ravel()
-    except NotDataError as error:
-        raise RecordingError(f"{label}: {error}") from error
+    values = _numbers(value, label).ravel()
     if len(values) != 1 or not np.isfinite(values[0]):
         raise RecordingError(f"{label}: it must be one number")
     return float(values[0])

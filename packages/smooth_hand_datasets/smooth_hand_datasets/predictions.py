@@ -36,7 +36,7 @@ from jaxtyping import Float
 from smooth_hand_datasets.scene import wrist_of_points
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers
 from smooth_operator.errors import DocumentError, RecordingError, brief
-from smooth_operator.formats.arrays import Allowance, open_arrays
+from smooth_operator.formats.arrays import Allowance, npz_arrays
 from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions
@@ -137,13 +137,10 @@ class Predictions:
     def matches(self, path: Path) -> bool:
         """True if the start of a file has a name that only these files have."""
         suffix = path.suffix.lower()
-        if suffix not in (*_PICKLES, *_TEXTS, ".npz") or not path.is_file():
-            return False
         if suffix == ".npz":
-            try:
-                return {"pred_keypoints_3d", "is_right"} <= open_arrays(path).keys()
-            except RecordingError:
-                return False
+            return {"pred_keypoints_3d", "is_right"} <= npz_arrays(path).keys()
+        if suffix not in (*_PICKLES, *_TEXTS) or not path.is_file():
+            return False
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
         return any(word.encode() in head for word in _WORDS)

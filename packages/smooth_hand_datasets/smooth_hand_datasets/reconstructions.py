@@ -33,7 +33,7 @@ from smooth_hand_datasets.scene import wrist_of_points
 from smooth_hand_datasets.unpickle import array, load_restricted
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.formats.arrays import StoredArrays, npz_arrays, open_arrays
 from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ReadingOptions
@@ -117,12 +117,7 @@ class DynHamr:
 
     def matches(self, path: Path) -> bool:
         """True if a path is an ``.npz`` file with Dyn-HaMR's arrays."""
-        if path.suffix.lower() != ".npz" or not path.is_file():
-            return False
-        try:
-            return set(_PARTS) <= open_arrays(path).keys()
-        except RecordingError:
-            return False
+        return set(_PARTS) <= npz_arrays(path).keys()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """Yields the file as one clip."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -25,19 +25,8 @@ from smooth_operator.atomic_files import claimed, remove_leftovers
 from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
 from smooth_operator.datasets.retargeting import Recipe, SourceFile
 from smooth_operator.datasets.sources import Item, find_items, in_shard, parse_shard
-from smooth_operator.datasets.store import (
-    ReadClip,
-    Result,
-    Results,
-    Store,
-)
-from smooth_operator.datasets.work import (
-    Job,
-    do_job,
-    finish_job,
-    read_job,
-    unchanged,
-)
+from smooth_operator.datasets.store import ReadClip, Result, Results, Store
+from smooth_operator.datasets.work import Job, do_job, finish_job, read_job, unchanged
 from smooth_operator.datasets.writers.npz import refused
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.datasets.writing import REPORT, Order, Summary, hand_in, write_episodes
@@ -87,9 +76,7 @@ def only_cpus_in_children() -> Iterator[None]:
             os.environ["JAX_PLATFORMS"] = before
 
 
-def results_of_gpu(
-    jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], **options: Any
-) -> Generator[Results]:
+def results_of_gpu(jobs: Sequence[Job], **options: Any) -> Generator[Results]:
     """Yields the results of jobs. Workers read the clips; this process retargets ``BATCH`` hands at
     once on the GPU.
 
@@ -98,7 +85,6 @@ def results_of_gpu(
     ``--shard``.
 
     Args:
-        split: splits a job whose worker died into parts.
         options: options of ``run_tasks``.
 
     Raises:
@@ -113,7 +99,7 @@ def results_of_gpu(
 
     with (
         ThreadPoolExecutor(1) as thread,
-        contextlib.closing(run_groups(read_job, jobs, split, **options)) as results,
+        contextlib.closing(run_groups(read_job, jobs, _alone, **options)) as results,
     ):
         batches: list[Future[Results]] = []
         waiting: list[tuple[Job, list[ReadClip], dict[str, str]]] = []
@@ -204,9 +190,9 @@ def make_dataset(
     own.mkdir(parents=True, exist_ok=True)
     with claimed(request.output if request.mirror else own):
         remove_leftovers([own, *(path for path in own.rglob("*") if path.is_dir())])
-        frames = recipe.request.frames or ""
+        part = recipe.request.frames or ""
         items = [
-            replace(item, frames=item.frames or frames)
+            replace(item, frames=item.frames or part)
             for item in survey.items
             if in_shard(item, shard)
         ]
@@ -247,7 +233,9 @@ def make_dataset(
                         else:
                             finished[item] = result
         if shard is not None:
-            return Summary.of_shard(request.output, shard, finished, reasons)
+            frames = sum(each.frames for each in finished.values())
+            failed = dict(sorted(reasons.items()))
+            return Summary(request.output, shard, len(finished), frames, failed=failed)
         notes = [f"retargeted on {gpu}"] if gpu is not None and len(finished) > before else []
         if not request.merge:
             Store(work).remove_superseded(finished)
@@ -347,14 +335,12 @@ def _retargeted(
 ) -> Generator[Results]:
     """Yields the results of all items. Items whose worker died are tried once more, each alone."""
 
-    def split(job: Job) -> list[Job]:
-        return [replace(job, items=(item,)) for item in job.items]
-
     options: dict[str, Any] = {"workers": request.workers, "cluster": request.cluster, "retries": 1}
     jobs = list(_jobs(items, folder, recipe, request.workers))
     jobs.sort(key=lambda job: -sum(item.size for item in job.items))  # the longest first
+    results_of = results_of_workers if gpu is None else results_of_gpu
     with (
-        contextlib.closing(_packs(jobs, split, gpu, **options)) as packs,
+        contextlib.closing(results_of(jobs, **options)) as packs,
         reporter.counting("", len(items), "clips", in_files=True) as advance,
     ):
         frames = failed = 0
@@ -366,21 +352,25 @@ def _retargeted(
             yield done
 
 
-def _packs(
-    jobs: Sequence[Job],
-    split: Callable[[Job], Sequence[Job]],
-    gpu: str | None,
-    **options: Any,
-) -> Generator[Results]:
-    """Yields the results of each pack; either workers or a GPU retarget the clips."""
-    if gpu is not None:
-        yield from results_of_gpu(jobs, split, **options)
-        return
-    with contextlib.closing(run_groups(do_job, jobs, split, **options)) as results:
+def results_of_workers(jobs: Sequence[Job], **options: Any) -> Generator[Results]:
+    """Yields the results of jobs, whose clips workers read and retarget.
+
+    Args:
+        options: options of ``run_tasks``.
+
+    Raises:
+        OutputError: a pack can't be written.
+    """
+    with contextlib.closing(run_groups(do_job, jobs, _alone, **options)) as results:
         for job, result in results:
             if result.error is not None and result.error.startswith(OutputError.__name__):
                 raise OutputError(result.error.partition(": ")[2])  # no space: nothing would go on
             yield result.value or _lost(job, result.error)
+
+
+def _alone(job: Job) -> list[Job]:
+    """The parts in which a job whose worker died is tried again."""
+    return [replace(job, items=(item,)) for item in job.items]
 
 
 def _lost(job: Job, error: str | None) -> Results:

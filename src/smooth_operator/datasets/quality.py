@@ -369,7 +369,8 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
     if limits.whole:
         yield _judged(whole, slice(0, len(whole.clip)), limits, motion)
         return
-    good = _good(whole, limits)
+    valid = np.array(list(whole.valid.values()))
+    good = valid.any(axis=0) if limits.hands == "any" else valid.all(axis=0)
     parts = list(_parts(good, _jumps(whole, limits), whole.clip.stamps, limits.max_gap))
     at = 0
     for part in parts:
@@ -392,17 +393,11 @@ def _confident(whole: RobotClip, least: float) -> RobotClip:
 
 def _finger_motions(whole: RobotClip) -> dict[str, float]:
     """Finger motion over the whole clip, because a hand may be still in a part of it."""
-    motions = {side: finger_motion(whole.clip.hands[side]) for side in whole.commands}
     return {
-        f"{side}.finger_motion_mm": 1e3 * value
-        for side, value in motions.items()
-        if value is not None
+        f"{side}.finger_motion_mm": 1e3 * motion
+        for side in whole.commands
+        if (motion := finger_motion(whole.clip.hands[side])) is not None
     }
-
-
-def _good(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
-    each = np.array(list(whole.valid.values()))
-    return np.asarray(each.any(axis=0) if limits.hands == "any" else each.all(axis=0))
 
 
 def _jumps(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:

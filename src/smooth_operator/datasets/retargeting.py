@@ -33,7 +33,7 @@ from smooth_operator.plugins import Entry
 from smooth_operator.result_cache import content_digest, key_digest
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
-from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.types import CommandTrajectory, Side, Status
 from smooth_operator.version import package_version
 from smooth_operator.wrist_following import add_wrist_commands
 
@@ -196,7 +196,7 @@ def retarget_clips(
     works = [
         _Work(number, side, each, clip.clip if _touches(clip.clip, side, recipe) else None)
         for number, clip in enumerate(todo)
-        if isinstance(clip, _Prepared)
+        if not isinstance(clip, SmoothOperatorError)
         for side, each in clip.plans.items()
     ]
     done: dict[int, dict[Side, _Answer]] = {}
@@ -249,18 +249,13 @@ def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
         plans = {
             side: plan(clip.hands[side], recipe.request)
             for side in SIDES
-            if side in clip.hands and _has_frames(clip.hands[side])
+            if side in clip.hands and np.asarray(clip.hands[side].valid).any()
         }
         if not plans:
             raise RecordingError(f"{clip.name}: no hand is seen in any frame")
     except SmoothOperatorError as error:
         return error
     return _Prepared(clip, plans)
-
-
-def _has_frames(hand: HandRecording) -> bool:
-    assert hand.valid is not None  # filled in on construction
-    return bool(hand.valid.any())
 
 
 @dataclass(frozen=True, eq=False)

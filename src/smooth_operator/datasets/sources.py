@@ -51,23 +51,6 @@ _MORE_DATES: Final = ("updated", "mtime", "created")
 """Names of fields that object storages use for the time at which a file changed."""
 
 
-@dataclass(frozen=True)
-class RemoteFile:
-    """A file in object storage.
-
-    Attributes:
-        name: path relative to the requested address.
-        address: its address.
-        bytes: its size.
-        changed: mark that changes with each write; empty if the storage does not have one.
-    """
-
-    name: str
-    address: str
-    bytes: int
-    changed: str
-
-
 def is_address(text: str) -> bool:
     """True for an address such as ``s3://bucket/folder``, False for a path."""
     scheme, sign, _ = text.partition("://")
@@ -81,8 +64,12 @@ def local_path(address: str) -> Path | None:
     return Path(unquote(urlsplit(address).path))
 
 
-def list_remote(address: str) -> Iterator[RemoteFile]:
+def list_remote(address: str) -> Iterator[Item]:
     """Lists the files at an address: a folder with its subfolders, a pattern, or a single file.
+
+    Returns:
+        for each file its name, which is its path relative to the address; its address, its size,
+        and a mark that changes with each write, empty if the storage does not have one.
 
     Raises:
         MissingExtraError: fsspec, or its library for this storage, is not installed.
@@ -103,9 +90,9 @@ def list_remote(address: str) -> Iterator[RemoteFile]:
     for name, info in sorted(files.items()):
         below = name.removeprefix(root).strip("/") or PurePosixPath(name).name
         dates = [info[each] for each in (*_DATES, *_MORE_DATES) if info.get(each)]
-        yield RemoteFile(
-            below, system.unstrip_protocol(name), int(info.get("size") or 0), str(*dates[:1])
-        )
+        size = int(info.get("size") or 0)
+        mark = (size, str(*dates[:1]))
+        yield Item(below, address=system.unstrip_protocol(name), mark=mark, size=size)
 
 
 @contextlib.contextmanager
@@ -484,15 +471,8 @@ class _Looking:
             if suffix in _NO_DATA and file.address != address:
                 yield suffix
                 continue
-            yield replace(
-                row,
-                name=file.name,
-                address=file.address,
-                mark=(file.bytes, file.changed),
-                layout=row.layout or self._layout,
-                frames="",
-                size=file.bytes,
-            )
+            layout = row.layout or self._layout
+            yield replace(file, layout=layout, task=row.task, side=row.side, rate=row.rate)
 
 
 def _clips(

@@ -220,18 +220,6 @@ class Summary:
         self.reasons = dict(sorted(reasons.items()))
         self.notes += [note for note in part.notes if note not in self.notes]
 
-    @classmethod
-    def of_shard(
-        cls,
-        output: Path,
-        shard: tuple[int, int],
-        packs: Mapping[str, Result],
-        failed: Mapping[str, str],
-    ) -> Summary:
-        """Summary of a run that retargets only its shard and writes no data set."""
-        frames = sum(each.frames for each in packs.values())
-        return cls(output, shard, len(packs), frames, failed=dict(sorted(failed.items())))
-
     def as_json(self) -> dict[str, Any]:
         """Content of ``report.json``."""
         counts = {name: value for name, value in asdict(self).items() if name != "output"}

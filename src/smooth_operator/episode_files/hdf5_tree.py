@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,7 +13,13 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
-from smooth_operator.formats.arrays import Allowance, damaged
+from smooth_operator.formats.arrays import (
+    NUMBER_BYTES,
+    TEXT_BYTES,
+    Allowance,
+    TooLargeError,
+    damaged,
+)
 from smooth_operator.io.plain_files import check_plain_file
 
 _BONES = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
@@ -59,7 +66,6 @@ _MOST_STAGES = 64
 _MOST_NAMES = 100
 _MOST_ATTRIBUTES = 100
 _MOST_WORDS = 4096
-_TEXT_BYTES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +126,14 @@ def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
     """
     h5py = h5py_of()
     try:
-        most = Allowance.of(path, check_plain_file(path)).most
+        allowance = Allowance.of(path, check_plain_file(path))
     except (OSError, DocumentError) as error:
         raise RecordingError(f"{path}: can't be read: {error}") from error
     try:
         with h5py.File(path, "r", locking=False) as file:
-            return dict(_groups(file, most, head, h5py))
+            return dict(_groups(file, allowance, head))
+    except TooLargeError:
+        raise
     except _RefusedError as error:
         raise RecordingError(
             f"{path}: {error}; save it again with all data inside the file, or as .npz"
@@ -138,51 +146,42 @@ class _RefusedError(Exception):
     """The file contains something that is not read; the message continues the file's name."""
 
 
-def _groups(file: Any, most: int, head: bool, h5py: Any) -> Iterator[tuple[str, Hdf5Group]]:
-    """Reads groups by name. ``most`` is the number of bytes that all arrays may take."""
-    left = [most]
-    yield "/", _group(file, () if head else ARRAYS["/"], left, h5py)
+def _groups(file: Any, allowance: Allowance, head: bool) -> Iterator[tuple[str, Hdf5Group]]:
+    """Reads groups by name."""
+    yield "/", _group(file, () if head else ARRAYS["/"], allowance)
     groups = {"": file}
     for name in () if head else GROUPS:
         above, _, last = name.rpartition("/")
         if above not in groups or last not in groups[above]:
             continue
-        group = _linked(groups[above], last, h5py)
-        if isinstance(group, h5py.Group):
+        group = _linked(groups[above], last)
+        if isinstance(group, h5py_of().Group):
             groups[name] = group
-            arrays = ARRAYS.get(name) or tuple(_names(group, _MOST_STAGES + 1))
+            arrays = ARRAYS.get(name) or tuple(itertools.islice(group, _MOST_STAGES + 1))
             if len(arrays) > _MOST_STAGES:
                 raise _RefusedError(f"its group {name} holds more than {_MOST_STAGES} arrays")
-            yield name, _group(group, arrays, left, h5py)
+            yield name, _group(group, arrays, allowance)
 
 
-def _group(group: Any, arrays: tuple[str, ...], left: list[int], h5py: Any) -> Hdf5Group:
+def _group(group: Any, arrays: tuple[str, ...], allowance: Allowance) -> Hdf5Group:
     held = {}
     for name in arrays:
         if name in group:
-            data = _linked(group, name, h5py)
-            if isinstance(data, h5py.Dataset):
-                held[name] = _array(data, left, h5py)
-    return Hdf5Group(group.name, _names(group, _MOST_NAMES), _attributes(group, h5py), held)
+            data = _linked(group, name)
+            if isinstance(data, h5py_of().Dataset):
+                held[name] = _array(data, allowance)
+    names = list(itertools.islice(group, _MOST_NAMES))
+    return Hdf5Group(group.name, names, _attributes(group), held)
 
 
-def _names(group: Any, most: int) -> list[str]:
-    names: list[str] = []
-    for name in group:
-        if len(names) == most:
-            break
-        names.append(name)
-    return names
-
-
-def _linked(group: Any, name: str, h5py: Any) -> Any:
+def _linked(group: Any, name: str) -> Any:
     link = group.get(name, getlink=True)
-    if not isinstance(link, h5py.HardLink):
+    if not isinstance(link, h5py_of().HardLink):
         raise _RefusedError(f"its {name!r} is a link, and links are not followed")
     return group[name]
 
 
-def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
+def _array(data: Any, allowance: Allowance) -> Hdf5Array:
     dtype, shape = data.dtype, data.shape  # h5py asks the file each time
     if shape is None:  # an array without a space
         raise _RefusedError(f"its array {data.name} is empty")
@@ -190,14 +189,9 @@ def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
         raise _RefusedError(
             f"the data of {data.name} are in other files, which this program does not read"
         )
-    words = h5py.check_string_dtype(dtype) is not None
-    each = max(dtype.itemsize, _TEXT_BYTES if words else 8)
-    takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
-    if takes > left[0]:
-        raise _RefusedError(
-            f"reading {data.name} would take {takes / 1e6:,.0f} MB of memory, but only "
-            f"{left[0] / 1e6:,.0f} MB remain of the limit for a file of this size"
-        )
+    words = h5py_of().check_string_dtype(dtype) is not None
+    each = max(dtype.itemsize, TEXT_BYTES if words else NUMBER_BYTES)
+    allowance.take(data.name, max(math.prod(shape), math.prod(data.chunks or ())) * each)
     numbers: np.ndarray | None = None
     texts: list[str | None] | None = None
     if words:
@@ -208,13 +202,12 @@ def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
         kind = {"f": "<f8", "b": "|b1", "i": "<i8", "u": "<i8"}[dtype.kind]
         with np.errstate(all="ignore"):
             numbers = np.ascontiguousarray(data[()], kind)
-        left[0] -= numbers.nbytes
     return Hdf5Array(
-        data.name, tuple(shape), dtype.kind, str(dtype), _attributes(data, h5py), numbers, texts
+        data.name, tuple(shape), dtype.kind, str(dtype), _attributes(data), numbers, texts
     )
 
 
-def _attributes(item: Any, h5py: Any) -> dict[str, Any]:
+def _attributes(item: Any) -> dict[str, Any]:
     held: dict[str, Any] = {}
     for name in list(item.attrs)[:_MOST_ATTRIBUTES]:
         with contextlib.suppress(KeyError):
@@ -223,7 +216,7 @@ def _attributes(item: Any, h5py: Any) -> dict[str, Any]:
             if count > _MOST_WORDS or count * about.dtype.itemsize > 1 << 20:
                 continue
             value = item.attrs[name]
-            if isinstance(value, h5py.Empty):
+            if isinstance(value, h5py_of().Empty):
                 continue
             flat = [_plain(x) for x in np.ravel(np.asarray(value, object)).tolist()]
             held[name] = flat if np.ndim(value) else flat[0]

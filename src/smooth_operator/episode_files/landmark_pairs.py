@@ -26,7 +26,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.formats.arrays import StoredArrays, npz_arrays, open_arrays
 from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.checks import check_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ObjectTrack, ReadingOptions
@@ -55,12 +55,7 @@ class LandmarksOfBothHands:
 
     def matches(self, path: Path) -> bool:
         """True for an ``.npz`` file that has an array ``right`` or ``left`` with three axes."""
-        if path.suffix.lower() != ".npz" or not path.is_file():
-            return False
-        try:
-            arrays = open_arrays(path)
-        except RecordingError:
-            return False  # the reader of plain recordings says what is wrong
+        arrays = npz_arrays(path)  # of a damaged file the reader of recordings says what is wrong
         return any(side in arrays and len(arrays[side].shape) == 3 for side in SIDES)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

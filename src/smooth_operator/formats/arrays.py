@@ -222,6 +222,14 @@ def open_arrays(path: Path) -> StoredArrays:
             return StoredArrays(path, _members(archive, path, allowance))
 
 
+def npz_arrays(path: Path) -> Mapping[str, StoredArray]:
+    """Returns the arrays of an ``.npz`` file; none if it is another file, or can't be read."""
+    try:
+        return open_arrays(path) if path.suffix.lower() == ".npz" and path.is_file() else {}
+    except RecordingError:
+        return {}
+
+
 def _members(archive: zipfile.ZipFile, path: Path, allowance: Allowance) -> dict[str, StoredArray]:
     members = archive.infolist()
     if len(members) > _MOST_MEMBERS:

@@ -473,19 +473,7 @@ def files_below(folder: Path, leave: Iterable[Path] = ()) -> Iterator[Path]:
 
 def readable() -> str:
     """Lists the formats that can be read, for error messages."""
-    formats = _recording_formats()
-    *most, last = (
-        "a MANUS .npz",
-        "a .npy or .npz file of landmarks (T, 21, 3) [m]",
-        AVP.what,
-        HTS.what,
-        BVH.what,
-        ARIA_CSV.what,
-        LANDMARK_CSV.what,
-        LOG.what,
-        HDF5.what,
-        *(reader.what for name, reader in formats.items() if name not in ONE_HAND),
-    )
+    *most, last = (reader.what for reader in _recording_formats().values())
     return f"{', '.join(most)} and {last}"
 
 

@@ -105,15 +105,10 @@ def _least(
         local = apply(poses.invert(track[part]), world)
         finite = np.isfinite(local).all(axis=-1)
         distance = np.full(finite.shape, np.inf)
-        measured = _distances if exact else _roughly
-        distance[finite] = measured(solid, local[finite])
+        near = local[finite]
+        distance[finite] = _distances(solid, near) if exact else signed_distance(solid.shape, near)
         least = np.minimum(least, distance)
     return least
-
-
-def _roughly(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Approximate distances that do not use the triangles of a mesh."""
-    return np.asarray(signed_distance(solid.shape, points))
 
 
 def _distances(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
