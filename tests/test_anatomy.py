@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smooth_operator import read_commands, read_recording, write_commands
+from smooth_operator import read_recording
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.formats.checks import check_palm, check_units
 from smooth_operator.io.anatomy import (
@@ -24,7 +24,7 @@ from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_ha
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.recording import read_episode
 from smooth_operator.teleop.sources.payload import read_payload
-from smooth_operator.types import CommandTrajectory, HandRecording, Side
+from smooth_operator.types import HandRecording, Side
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 RECORDINGS = [
@@ -71,11 +71,10 @@ def test_a_layout_is_an_order_of_all_points():
     assert [bases[i] for i in LAYOUTS["fpha"]] == ours
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.003])
 @pytest.mark.parametrize("name", FOREIGN)
-def test_another_order_is_recognised(operator, name, noise):
+def test_another_order_is_recognised(operator, name):
     rng = np.random.default_rng(0)
-    seen = operator.landmarks[:50] + rng.normal(0, noise, (50, 21, 3))
+    seen = operator.landmarks[:50] + rng.normal(0, 0.003, (50, 21, 3))
     found = doubt(in_layout(seen, name), "right")
     assert (found.layout, found.order, found.side) == (name, LAYOUTS[name], None)
     assert f"--layout {name}" in remedy(found)
@@ -238,11 +237,7 @@ def test_image_landmarks_are_recognised(tmp_path, operator, distance, picture, p
             check_palm(seen[0], np.ones(21, bool), "the message")
 
 
-def test_aria_has_tips_first_and_the_centre_of_the_palm_last(tmp_path, operator):
-    names = [*(f"{f}4" for f in "TIMRP"), "W", "T2", "T3"]
-    names += [*(f"{f}{k}" for f in "IMRP" for k in (1, 2, 3)), "palm"]
-    ours = ["W", *(f"{f}{k}" for f in "TIMRP" for k in range(1, 5))]
-    assert [names[i] for i in LAYOUTS["aria"]] == [("palm" if n == "T1" else n) for n in ours]
+def test_the_thumbs_base_of_aria_is_estimated(tmp_path, operator):
     points = in_layout(operator.landmarks, "aria")
     points[:, 20] = (operator.landmarks[:, 0] + operator.landmarks[:, 9]) / 2
     path = saved(tmp_path / "a.npz", points)
@@ -441,15 +436,3 @@ def test_a_file_is_no_source_but_names_one():
         build_source("clip")
     with pytest.raises(UnknownNameError, match="layout 'manno'"):
         build_source("udp:0,layout=manno")
-
-
-def test_commands_without_times_are_refused(tmp_path):
-    stamps = np.arange(3.0)
-    commands = CommandTrajectory(np.zeros((3, 2)), ("a", "b"), stamps, stamps, np.zeros(3, np.int8))
-    write_commands(tmp_path / "a.npz", commands, {})
-    arrays = dict(np.load(tmp_path / "a.npz"))
-    for value in (np.nan, np.inf):
-        arrays["timestamps"] = np.array([0.0, value, 2.0])
-        np.savez(tmp_path / "b.npz", **arrays)
-        with pytest.raises(RecordingError, match="not finite"):
-            read_commands(tmp_path / "b.npz")

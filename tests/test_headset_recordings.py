@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-import fuzzing
 import headset_apps as app
 import numpy as np
 import pytest
@@ -111,23 +110,3 @@ def test_a_small_file_of_many_frames_does_not_fill_the_memory(tmp_path, monkeypa
     path.write_text("\n".join(lines))
     with pytest.raises(RecordingError, match="reading 'left' would take"):
         read_recording(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "damaged"),
-    [
-        ("a.jsonl", fuzzing.damaged_json),
-        ("a.jsonl", fuzzing.damaged_bytes),
-        ("a.hts", fuzzing.damaged_bytes),
-    ],
-)
-def test_damaged_files_are_read_or_refused(tmp_path, name, damaged):
-    read = fuzzing.recording_at(tmp_path / name)
-    whole = (
-        "\n".join(avp_lines(("right",))).encode()
-        if "jsonl" in name
-        else b"\n".join(hts_lines(True))
-    )
-    _, recordings = fuzzing.outcomes(damaged(whole), 24, read)
-    assert recordings
-    assert all(np.isfinite(one.landmarks[one.valid]).all() for one in recordings)

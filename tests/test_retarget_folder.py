@@ -6,7 +6,6 @@ Resumption after a killed run, and after a change of a recording or of the code,
 import functools
 import json
 import os
-import re
 import shutil
 import sys
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from two_hands import Counting
 
 from smooth_operator import read_commands, read_recording
 from smooth_operator.atomic_files import claimed
@@ -69,20 +69,6 @@ def folder(tmp_path_factory) -> Path:
             recording.landmarks[10:13] = np.nan
         save(at / f"{name}.npz", recording)
     return at
-
-
-class Count(Reporter):
-    """Number of recordings, and of those that were kept."""
-
-    items = kept = 0
-    again = ""
-
-    def note(self, text: str, *, matters: bool = False) -> None:
-        if counts := re.match(r"(\d+) to retarget, (\d+) already done", text):
-            self.kept = int(counts[2])
-            self.items = self.kept + int(counts[1])
-        elif "again" in text:
-            self.again = text.partition(":")[0]
 
 
 def do(
@@ -170,7 +156,7 @@ def copy(folder, whole, tmp_path) -> tuple[Path, Path]:
 
 def kept(recordings: Path, output: Path, request: RetargetRequest = ASKED, **more: Any) -> int:
     """Number of recordings that a run keeps."""
-    count = Count()
+    count = Counting()
     do(recordings, output, request, count, **more)
     return count.kept
 
@@ -198,7 +184,7 @@ def test_another_request_replaces_the_results(copy, change, expected):
     for name in FRAMES:
         if name not in ("a", "e"):
             (recordings / f"{name}.npz").unlink()
-    count = Count()
+    count = Counting()
     do(recordings, output, replace(ASKED, **change), count)
     assert (count.kept, count.again) == (0, "making 2 results again")
     assert (output / "a.json").read_bytes() != expected["a.json"]
@@ -270,7 +256,7 @@ def test_refused_before_any_work(tmp_path):
     (output / "taken.npz").write_text("my thesis", encoding="utf-8")
     (output / "beside.json").write_text("{}", encoding="utf-8")
     (output / "deep").write_text("mine", encoding="utf-8")
-    count = Count()
+    count = Counting()
     summary = do(recordings, output, reporter=count)
     assert count.items == summary.episodes == 1
     reasons = summary.failed

@@ -1,5 +1,6 @@
 """A layout for tests: both hands of a clip in one ``.pair.npz``, made by the built-in operator."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,32 @@ import numpy as np
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ReadingOptions
+from smooth_operator.reporter import Reporter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import WristMotion
 from smooth_operator.types import HandRecording
 
 SUFFIX = ".pair.npz"
+
+
+class Counting(Reporter):
+    """Number of clips of a run, and of those that an earlier run finished.
+
+    Attributes:
+        again: what is said of results that are made again.
+    """
+
+    items = kept = 0
+    again = ""
+
+    def note(self, text: str, *, matters: bool = False) -> None:
+        if counts := re.match(r"(\d+) to retarget, (\d+) already done", text):
+            self.kept = int(counts[2])
+            self.items = self.kept + int(counts[1])
+        elif "again" in text:
+            self.again = text.partition(":")[0]
+
+
 LAYOUT = "two_hands:PAIRS"
 
 

@@ -57,14 +57,9 @@ _TIP_OFFSETS = (
 _LAST = (15, 3, 6, 12, 9)  # joints before the tips of thumb, index, middle, ring, pinky
 
 
-def model_arrays(side: str, seed: int = 0, *, same_x: bool = True) -> dict[str, np.ndarray]:
-    """The arrays of a made-up model.
-
-    Args:
-        side: right or left.
-        seed: of its blend shapes.
-        same_x: whether the left hand's shape directions have the right one's x, as published.
-    """
+def model_arrays(side: str, seed: int = 0) -> dict[str, np.ndarray]:
+    """The arrays of a made-up model; a left hand's shape directions have the right one's x, as
+    published. ``seed`` is that of its blend shapes."""
     rng = np.random.default_rng(seed)
     flip = np.array([1.0 if side == "right" else -1.0, 1.0, 1.0])
     joints = _RIGHT
@@ -98,8 +93,6 @@ def model_arrays(side: str, seed: int = 0, *, same_x: bool = True) -> dict[str, 
     if side == "left":
         signs = np.tile(np.outer(flip, flip).ravel(), 15)  # of a mirrored rotation's entries
         poses_ = poses_ * flip[:, None] * signs
-        if not same_x:
-            shapes = shapes * flip[:, None]
         mean = (mean.reshape(15, 3) * [1.0, -1.0, -1.0]).ravel()
         components = (components.reshape(45, 15, 3) * [1.0, -1.0, -1.0]).reshape(45, 45)
     tree = np.array([[4294967295, *(PARENT[j] for j in range(1, JOINTS))], list(range(JOINTS))])

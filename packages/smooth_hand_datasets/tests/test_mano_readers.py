@@ -98,7 +98,7 @@ def test_frames_without_a_hand_are_missing(tmp_path, models):
         assert np.isnan(hand.T_world_wrist[2]).all()
 
 
-@pytest.mark.parametrize("layout", layouts.WRITERS)
+@pytest.mark.parametrize("layout", ["arctic", "mano"])
 def test_exchanged_models_and_a_missing_one_are_refused(tmp_path, models, layout):
     made = layouts.WRITERS[layout](tmp_path / "data")
     with pytest.raises(RecordingError, match=r"mano\.is\.tue\.mpg\.de"):
