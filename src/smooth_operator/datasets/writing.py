@@ -263,13 +263,11 @@ class Part:
         summary: counts of episodes.
         lines: lines of ``episodes.jsonl``.
         figures: quality metrics of the episodes.
-        items: number of items.
     """
 
     summary: Summary
     lines: list[bytes] = field(default_factory=list)
     figures: FigureTable = field(default_factory=FigureTable)
-    items: int = 0
 
 
 def write_episodes(
@@ -316,18 +314,16 @@ def write_episodes(
         if len(parts) == 1:
             done[0] = write_part(parts[0], advance)
         else:
-            options: dict[str, Any] = {
-                "workers": order.request.workers,
-                "cluster": order.request.cluster,
-            }
-            with contextlib.closing(run_tasks(write_part, parts, **options)) as results:
+            workers, cluster = order.request.workers, order.request.cluster
+            tasks = run_tasks(write_part, parts, workers=workers, cluster=cluster)
+            with contextlib.closing(tasks) as results:
                 for result in results:
                     if result.value is None:
                         raise OutputError(
                             f"a part of the data set can't be written: {result.error}"
                         )
                     done[result.index] = result.value
-                    advance(result.value.items)
+                    advance(len(parts[result.index].items))
     figures = FigureTable()
     with atomic_write(order.request.output / EPISODES) as lines:
         for _, part in sorted(done.items()):
@@ -401,7 +397,7 @@ def write_part(order: Order, written: Callable[[], None] = lambda: None) -> Part
         RecordingError: a pack is damaged.
     """
     request = order.request
-    part = Part(Summary(request.output), items=len(order.items))
+    part = Part(Summary(request.output))
     limits = request.limits
     reasons: Counter[str] = Counter()
     notes: Counter[str] = Counter()

@@ -15,7 +15,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError, RecordingError, brief
 from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.arrays import open_arrays
-from smooth_operator.formats.episode import check_commands
+from smooth_operator.formats.episode import check_command_shapes, check_commands
 from smooth_operator.formats.registry import file_kind
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
@@ -76,7 +76,7 @@ def command_arrays(commands: CommandTrajectory) -> dict[str, np.ndarray]:
         "latency_ms": np.asarray(commands.latency_ms, np.float64),
         "status": np.asarray(commands.status),
     }
-    _check_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
+    check_command_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
     arrays["status"] = translate_status(arrays["status"], None, "the commands")
     return {**arrays, "status_names": np.array(STATUS_NAMES)}
 
@@ -155,7 +155,7 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
             f"{path}: not a file of commands: it lacks {', '.join(missing)} (it contains "
             f"{arrays.describe()}); expected the OUT.npz that retarget writes"
         )
-    _check_shapes({key: arrays[key].shape for key in _KEYS}, str(path))
+    check_command_shapes({key: arrays[key].shape for key in _KEYS}, str(path))
     commands = CommandTrajectory(
         joint_positions=arrays["joint_positions"].numbers(),
         joint_names=tuple(arrays["joint_names"].texts()),
@@ -180,27 +180,6 @@ def only_commands(path: Path) -> bool:
     except (RecordingError, OSError):
         return False
     return all(name in arrays for name in _KEYS[:2]) and not any(n in arrays for n in _HANDS)
-
-
-def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
-    positions = shapes["joint_positions"]
-    if len(positions) != 2:
-        raise RecordingError(
-            f"{where}: joint_positions must have shape (frames, joints), not {positions}"
-        )
-    frames, joints = positions
-    expected = {
-        "joint_names": (joints,),
-        "timestamps": (frames,),
-        "latency_ms": (frames,),
-        "status": (frames,),
-    }
-    for name, shape in expected.items():
-        if shapes[name] != shape:
-            raise RecordingError(
-                f"{where}: {name} must have shape {shape} to fit joint_positions {positions}, "
-                f"not {shapes[name]}"
-            )
 
 
 def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:

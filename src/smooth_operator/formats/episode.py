@@ -341,20 +341,15 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
     Raises:
         RecordingError: names the array, the expected value and the actual value.
     """
-    shape = np.shape(commands.joint_positions)
-    joints = len(commands.joint_names)
-    if len(shape) != 2 or shape[1] != joints:
-        raise RecordingError(
-            f"{where}: joint_positions must have shape (commands, {joints}) to fit its {joints} "
-            f"joint names, not {shape}"
-        )
-    for name in ("stamps", "latency_ms", "status"):
-        if np.shape(getattr(commands, name)) != shape[:1]:
-            raise RecordingError(
-                f"{where}: {name} must have shape {shape[:1]} to fit joint_positions {shape}, not "
-                f"{np.shape(getattr(commands, name))}"
-            )
-    if len(set(commands.joint_names)) != joints:
+    shapes = {
+        "joint_positions": np.shape(commands.joint_positions),
+        "joint_names": (len(commands.joint_names),),
+        "timestamps": np.shape(commands.stamps),
+        "latency_ms": np.shape(commands.latency_ms),
+        "status": np.shape(commands.status),
+    }
+    check_command_shapes(shapes, where)
+    if len(set(commands.joint_names)) != len(commands.joint_names):
         raise RecordingError(f"{where}: a joint name occurs twice: {listed(commands.joint_names)}")
     stamps = np.asarray(commands.stamps, np.float64)
     check_times(stamps, where, "command")
@@ -368,6 +363,30 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
             f"wrote it, upgrade: {UPGRADE}"
         )
     _check_positions(commands, where)
+
+
+def check_command_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
+    """Refuses arrays of commands whose shapes do not match.
+
+    Args:
+        shapes: shapes of ``joint_positions``, ``joint_names``, ``timestamps``, ``latency_ms`` and
+            ``status``.
+
+    Raises:
+        RecordingError: names the array, the expected and the actual shape.
+    """
+    positions = shapes["joint_positions"]
+    if len(positions) != 2:
+        raise RecordingError(
+            f"{where}: joint_positions must have shape (frames, joints), not {positions}"
+        )
+    expected = dict.fromkeys(("timestamps", "latency_ms", "status"), positions[:1])
+    for name, shape in {"joint_names": positions[1:], **expected}.items():
+        if shapes[name] != shape:
+            raise RecordingError(
+                f"{where}: {name} must have shape {shape} to fit joint_positions {positions}, "
+                f"not {shapes[name]}"
+            )
 
 
 def _check_positions(commands: CommandTrajectory, where: str) -> None:
