@@ -76,8 +76,6 @@ class _Hand:
 
 
 class _Detections:
-    """Detected hands of a file."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.hands: dict[Side, _Hand] = {side: _Hand() for side in SIDES}

@@ -321,7 +321,6 @@ def _write_meta(
     parts: Mapping[int, dict[str, Statistics]],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Writes the folder ``meta`` and the README."""
     old, new = dataset.path / "meta", stage / "meta"
     changed = [*next(iter(parts.values()))]
     gone = {*changed, *(dataset.info["features"].keys() - layout.features.keys())}

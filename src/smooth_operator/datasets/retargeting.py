@@ -276,7 +276,6 @@ class _Answer:
 
 
 def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
-    """True if a hand should be retargeted with the clip's objects."""
     return (
         recipe.with_objects
         and clip.hands[side].T_world_wrist is not None

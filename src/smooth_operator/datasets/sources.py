@@ -382,7 +382,6 @@ class _Looking:
         self._seen: set[Path] = set()
 
     def through(self, source: str) -> Iterator[_Each]:
-        """Yields the parts of one source."""
         if is_address(source):
             local = local_path(source)
             if local is None:

@@ -446,7 +446,6 @@ def _count(summary: Summary, reasons: Counter[str], episode: RobotClip | Dropped
 
 
 def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
-    """The line of ``episodes.jsonl`` for an episode."""
     shared = {"clip": clip.clip.name, "source": clip.clip.meta.get("source")}
     if isinstance(episode, Dropped):
         return {
@@ -525,7 +524,6 @@ def _state(order: Order) -> dict[str, Any] | None:
 
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
-    """Writes ``report.json`` and ``report.html``."""
     request = order.resolved
     content = {
         **summary.as_json(),

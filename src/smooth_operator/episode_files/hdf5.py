@@ -303,7 +303,6 @@ def _object(text: str | None, what: str) -> dict[str, Any]:
 
 
 def _write_wrist(group: Group, wrist: WristTrack) -> None:
-    """Adds the commanded wrist to the commands."""
     _write_array(group, "wrist", wrist.poses, POSE_UNITS)
     group["wrist"].attrs["world"] = wrist.world
     _write_array(group, "wrist_engaged", np.asarray(wrist.engaged, bool), None)
@@ -311,7 +310,6 @@ def _write_wrist(group: Group, wrist: WristTrack) -> None:
 
 
 def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
-    """Reads the commanded wrist of the commands; None if the file has no wrist."""
     if "wrist" not in group.arrays:
         return None
     poses = _numbers(group, "wrist", (count, 7), path)
@@ -322,7 +320,6 @@ def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
 
 
 def _write_arm(group: Group, arm: ArmTrack) -> None:
-    """Add the arm to the commands."""
     _write_array(group, "arm", arm.positions, "rad")
     _write_array(group, "arm_measured", arm.measured, "rad")
     _write_array(group, "arm_wrist", arm.poses, POSE_UNITS)
@@ -331,7 +328,6 @@ def _write_arm(group: Group, arm: ArmTrack) -> None:
 
 
 def _read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
-    """Reads the arm of the commands; None if the file has no arm."""
     if "arm" not in group.arrays:
         return None
     attributes = group.arrays["arm"].attributes
@@ -350,7 +346,6 @@ _MEASURED = ("currents", "touch", "contact", "newtons")
 
 
 def _write_states(group: Group, states: StateTrajectory) -> None:
-    """Add the measured states of a robot hand."""
     _write_array(group, "joint_positions", np.asarray(states.positions, np.float64), "rad")
     _write_array(group, "stamps", np.asarray(states.stamps, np.float64), "s")
     texts = h5py_of().string_dtype()
@@ -364,8 +359,6 @@ def _write_states(group: Group, states: StateTrajectory) -> None:
 
 
 def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
-    """Reads the measured states of a robot hand; RecordingError if an array is missing or has the
-    wrong shape."""
     positions = _numbers(group, "joint_positions", (None, None), path)
     count = len(positions)
     optional: dict[str, Any] = {
@@ -384,12 +377,6 @@ def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
 
 
 def _write_array(group: Group, name: str, value: np.ndarray, units: str | None) -> None:
-    """Adds a compressed array to a group.
-
-    Args:
-        group: group of an open h5py file.
-        units: its attribute ``units``; None to write none.
-    """
     # Shuffled bytes of neighbouring samples compress far better than the samples themselves.
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if value.size else {}
     data = group.create_dataset(name, data=value, **packed)
@@ -423,7 +410,6 @@ def _array_of(
 
 
 def _data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
-    """Returns an array unchanged; RecordingError if the group has no array with that name."""
     if name not in group.arrays:
         raise RecordingError(
             f"{path}: it lacks the array {group.name}/{name}; the group holds {group.describe()}"
@@ -432,5 +418,4 @@ def _data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
 
 
 def _text_of(value: Any) -> str | None:
-    """Returns a value if it is a string, else None."""
     return value if isinstance(value, str) else None

@@ -147,7 +147,6 @@ class _RefusedError(Exception):
 
 
 def _groups(file: Any, allowance: Allowance, head: bool) -> Iterator[tuple[str, Hdf5Group]]:
-    """Reads groups by name."""
     yield "/", _group(file, () if head else ARRAYS["/"], allowance)
     groups = {"": file}
     for name in () if head else GROUPS:

@@ -77,7 +77,6 @@ class _Table:
         return len(self._rows)
 
     def texts(self, name: str) -> list[str]:
-        """Cells of a column."""
         return [row[self.columns[name]].strip() for row in self._rows]
 
     def numbers(self, names: Sequence[str]) -> Float[np.ndarray, "T n"]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,10 +14,6 @@ from smooth_operator.io.plain_files import (
     read_text,
     too_deep,
 )
-
-_BRACKETS: Final = b"[]{}"
-_NO_BRACKETS: Final = bytes(byte for byte in range(256) if byte not in _BRACKETS)
-_TEXTS: Final = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
 
 
 def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
@@ -46,7 +41,7 @@ def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
         raise too_deep() from error
     except ValueError as error:  # bad UTF-8 too
         raise DocumentError(str(error) if len(str(error)) < 200 else "damaged text") from error
-    if _deeper(data):
+    if data.count(b"[") + data.count(b"{") > MOST_LEVELS and _deeper(value):
         raise too_deep()
     return value
 
@@ -83,19 +78,15 @@ def _whole(digits: str) -> int:
 _DECODER: Final = json.JSONDecoder(parse_int=_whole)
 
 
-def _deeper(data: bytes) -> bool:
-    """True if the brackets of a well-formed JSON text are nested too deep."""
-    brackets = data.translate(None, _NO_BRACKETS)
-    if brackets.count(b"[") + brackets.count(b"{") <= MOST_LEVELS:
-        return False
-    # Brackets within texts may not match each other; without texts, all do.
-    return _left(brackets) and _left(_TEXTS.sub(b"", data).translate(None, _NO_BRACKETS))
-
-
-def _left(brackets: bytes) -> bool:
-    """True if pairs are left after removing the innermost ones ``MOST_LEVELS`` times."""
+def _deeper(value: Any) -> bool:
+    """True if lists and tables are nested too deep; without recursion, which could exhaust the
+    stack."""
+    level = [value]
     for _ in range(MOST_LEVELS):
-        if not brackets:
-            return False
-        brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
-    return bool(brackets)
+        holders = [each for each in level if isinstance(each, list | dict)]
+        level = [
+            child
+            for each in holders
+            for child in (each.values() if isinstance(each, dict) else each)
+        ]
+    return any(isinstance(each, list | dict) for each in level)

@@ -99,7 +99,6 @@ class _Terms:
         return self.costs_of.all_costs(self.shapes, x, frames)
 
     def settle(self, pose: Float[np.ndarray, "T 6"]) -> None:
-        """Stores the solution."""
         self.found = pose
 
 

@@ -148,7 +148,6 @@ def _configuration(episode: RobotClip, side: Side) -> dict[str, Any]:
 
 
 def _stands(path: Path, encoded: bytes, config: Mapping[str, Any]) -> bool:
-    """True if the files exist with this content."""
     try:
         text = to_json(dict(config), indent=2).encode() + b"\n"
         return path.read_bytes() == encoded and config_path(path).read_bytes() == text

@@ -323,7 +323,6 @@ def _recording(
     layout: str | None,
     file: Path,
 ) -> HandRecording:
-    """Reads one hand of an episode."""
     side = _side(table, own, side, f"{file}, {name}")
     check_stamps(stamps, f"{file}, {name}")
     stored = own.get("meta")

@@ -279,7 +279,6 @@ class _DataFiles:
         return divmod(self._number, FILES_A_CHUNK)
 
     def close(self) -> None:
-        """Closes the current file."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.close()
@@ -308,7 +307,6 @@ class _Notes:
                 self._held += len(episode.commands) - answers
 
     def texts(self) -> list[str]:
-        """The notes."""
         texts = []
         if self._drift > 1e-3:
             texts.append(
