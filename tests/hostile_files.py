@@ -53,20 +53,6 @@ def commands(path: Path) -> None:
     assert found.joint_positions.shape == (len(found), len(found.joint_names))
 
 
-def scan(path: Path) -> None:
-    """A folder that holds the file beside a good one: both are found."""
-    from smooth_operator.datasets.sources import find_items
-
-    good = Path(__file__).with_name("test_architecture.py")
-    folder = path.parent / "scanned"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    shutil.copy(path, folder / path.name)
-    shutil.copy(good, folder / "other.npy")
-    found = find_items([str(folder)], layout="files")
-    assert len(found.items) + sum(found.passed_over.values()) == 2, found
-
-
 def overwrite(path: Path) -> None:
     """What is looked at before a file is replaced."""
     from smooth_operator.datasets.writers.npz import taken
@@ -373,7 +359,6 @@ def seeds(folder: Path) -> Seeds:
         "recording": [*arrays, *own],
         "episode": own,
         "commands": own[:1],
-        "scan": [*arrays, *own],
         "overwrite": own,
         "latency": own[1::2],
         "operator": [("o.json", _operator(folder), fuzzing.damaged_json)],

@@ -58,7 +58,7 @@ def test_json_object_of_other_values_is_none():
 @pytest.mark.parametrize("tries", [12, pytest.param(64, marks=pytest.mark.weekly)])
 def test_mutants_are_read_soundly_or_refused(tmp_path, tries):
     for name, counts in hostile_files.campaign(tmp_path, tries).items():
-        assert counts["refused"] or name in ("scan", "overwrite"), (name, counts)
+        assert counts["refused"] or name == "overwrite", (name, counts)
 
 
 def zeros_npz(path: Path, frames: int) -> Path:
@@ -164,9 +164,8 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
 
 
 def test_one_damaged_file_does_not_end_a_search(tmp_path):
-    content = good(tmp_path).read_bytes()
+    good(tmp_path)
     # NumPy hands such a header to tokenize, which raises an error of its own.
-    (tmp_path / "bad.npz").write_bytes(content.replace(b"(12, 21, 3)", b"(12, 21, (3", 1))
     with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
         header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (12, 21, 3 ".ljust(117) + b"\n"
         archive.writestr("landmarks.npy", b"\x93NUMPY\x01\x00v\x00" + header + bytes(6048))

@@ -19,7 +19,6 @@ from smooth_operator.formats.checks import check_units, frame_slice, reading_not
 from smooth_operator.landmarks import (
     FROM_MANUS_25,
     FROM_OPENXR_26,
-    LAYOUTS,
     METACARPALS_MANUS_25,
     NODE_LAYOUTS,
 )
@@ -291,18 +290,17 @@ def test_files_are_recognised_by_content(tmp_path):
     assert len(read_recording(str(tmp_path / "b.pkl"))) == FRAMES
 
 
-@pytest.mark.parametrize("key", ["joints", "landmarks", "whatever"])
-def test_npz_of_landmarks(tmp_path, key):
+@pytest.mark.parametrize(
+    ("key", "more"),
+    [
+        ("joints", {"side": np.array("Left"), "images": np.ones((4, 5, 6))}),
+        ("landmarks", {"chirality": np.array([b"L"] * FRAMES)}),
+        ("whatever", {"side": np.array("Left"), "temperature": np.ones(FRAMES)}),
+    ],
+)
+def test_npz_of_landmarks(tmp_path, key, more):
     stamps = np.arange(FRAMES) / 30.0
-    path = save(
-        tmp_path / "a.npz",
-        {
-            key: hand() * (-1, 1, 1),
-            "temperature": np.ones(FRAMES),
-            "stamps": stamps,
-            "side": np.array("Left"),
-        },
-    )
+    path = save(tmp_path / "a.npz", {key: hand() * (-1, 1, 1), "stamps": stamps, **more})
     recording = read_recording(path)
     np.testing.assert_array_equal(recording.landmarks, hand() * (-1, 1, 1))
     np.testing.assert_array_equal(recording.stamps, stamps)
@@ -328,24 +326,6 @@ def test_flags_of_any_type_are_read(tmp_path, flags, nodes):
     assert reading_notes(recording, "a.npz") == [
         "a.npz does not state the side; assuming right. Use --side left otherwise"
     ]
-
-
-def test_flags_follow_the_order_of_the_landmarks(tmp_path):
-    order = list(LAYOUTS["mano"])
-    seen = np.ones((FRAMES, 21), bool)
-    seen[:, 3] = False
-    points = np.empty_like(hand())
-    points[:, order] = hand()
-    flags = np.empty_like(seen)
-    flags[:, order] = seen
-    path = save(tmp_path / "a.npz", {"landmarks": points, "valid": flags.astype(int)})
-    np.testing.assert_array_equal(read_recording(path, rate=30.0, layout="mano").valid, seen)
-
-
-def test_ignored_arrays_that_look_like_flags_are_noted(tmp_path):
-    arrays = {"landmarks": hand(), "side": "right", "is_tracked": SEEN[:, 0]}
-    (note,) = reading_notes(read_recording(save(tmp_path / "a.npz", arrays), rate=30.0), "a.npz")
-    assert "a.npz: ignored: is_tracked" in note
 
 
 @pytest.mark.parametrize("nodes", [21, 26])
@@ -374,21 +354,6 @@ def test_flags_and_wrist_of_a_hand_named_by_its_side(tmp_path):
     assert (recording.side, recording.meta["side_assumed"]) == ("left", False)
     np.testing.assert_array_equal(recording.valid, SEEN)
     np.testing.assert_array_equal(recording.T_world_wrist, poses)
-    both = save(tmp_path / "b.npz", {**arrays, "right": hand()})
-    refused(both, "both hands; choose one with --side right", rate=30.0)
-    assert read_recording(both, rate=30.0, side="right").side == "right"
-
-
-def test_named_array_wins_over_other_cubes(tmp_path):
-    path = save(tmp_path / "a.npz", {"joints": hand(), "images": np.ones((4, 5, 6))})
-    recording = read_recording(path, rate=30.0)
-    assert len(recording) == FRAMES
-    assert (recording.side, recording.meta["side_assumed"]) == ("right", True)
-
-
-def test_side_as_bytes_and_per_frame(tmp_path):
-    arrays = {"joints": hand() * (-1, 1, 1), "chirality": np.array([b"L"] * FRAMES)}
-    assert read_recording(save(tmp_path / "a.npz", arrays), rate=30.0).side == "left"
 
 
 @pytest.mark.parametrize(("nodes", "picked"), [(25, FROM_MANUS_25), (26, FROM_OPENXR_26)])

@@ -12,8 +12,8 @@ from smooth_operator.calibration.operator_file import OperatorProfile, read_oper
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
 from smooth_operator.formats.environment import environment, versions
-from smooth_operator.formats.readers import read_assumed
-from smooth_operator.formats.registry import READERS
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.registry import READERS, with_assumed_side
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
@@ -128,8 +128,10 @@ class RetargetRequest(MethodChoice):
         Raises:
             RecordingError: the file can't be read, or shows the other hand.
         """
-        return read_assumed(
-            path, default_side(self.hand), rate=rate, side=self.side, layout=self.layout
+        return with_assumed_side(
+            lambda side: read_recording(path, rate=rate, side=side, layout=self.layout),
+            self.side,
+            default_side(self.hand),
         )
 
     def load_hand(self, side: Side) -> Hand:

@@ -10,7 +10,6 @@ from object_scenes import bumpy_mesh, pinch_clip
 from smooth_hand_datasets.objects.contacts import ContactSettings, Scene, clip_scene, find_contacts
 from smooth_hand_datasets.objects.hand_surface import HandSurface
 from smooth_hand_datasets.objects.interaction_metrics import (
-    agreement,
     hand_depths,
     interaction_figures,
     interaction_tracks,
@@ -170,9 +169,9 @@ def test_contacts_of_a_pinch_are_found(side):
     found = find_contacts(made.clip, side, made.scene)
     assert set(np.flatnonzero(found.touching[17:23].all(axis=0))) == {0, 1}
     assert not found.touching[:7].any()
-    agreed = agreement(made.truth.touching, found.touching)
-    assert agreed.recall > 0.97
-    assert agreed.precision > 0.85  # it begins at 4 mm, the contacts of record at 1 mm
+    shared = (made.truth.touching & found.touching).sum()
+    assert shared > 0.97 * made.truth.touching.sum()
+    assert shared > 0.85 * found.touching.sum()  # it begins at 4 mm, the contacts of record at 1 mm
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

@@ -370,7 +370,7 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
         yield _judged(whole, slice(0, len(whole.clip)), limits, motion)
         return
     valid = np.array(list(whole.valid.values()))
-    good = valid.any(axis=0) if limits.hands == "any" else valid.all(axis=0)
+    good = np.asarray(valid.any(axis=0) if limits.hands == "any" else valid.all(axis=0))
     parts = list(_parts(good, _jumps(whole, limits), whole.clip.stamps, limits.max_gap))
     at = 0
     for part in parts:

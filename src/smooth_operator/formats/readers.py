@@ -29,7 +29,6 @@ from smooth_operator.formats.registry import (
     named_as_recording,
     readable,
     recording_format,
-    with_assumed_side,
 )
 from smooth_operator.io.landmark_order import in_our_order, layout_order
 from smooth_operator.landmarks import NODE_LAYOUTS
@@ -114,20 +113,6 @@ def read_recording(
     recording = recording_format(kind).recording(path, rate, side, layout)
     recording.meta.setdefault("format", kind)
     return recording
-
-
-def read_assumed(
-    path: Path, assumed: Side, *, rate: float | None, side: Side | None, layout: str | None
-) -> HandRecording:
-    """Reads a recording like ``read_recording``; a file that states no side is read as a hand of
-    the side ``assumed``.
-
-    Raises:
-        RecordingError: as ``read_recording``.
-    """
-    return with_assumed_side(
-        lambda side: read_recording(path, rate=rate, side=side, layout=layout), side, assumed
-    )
 
 
 class Files:

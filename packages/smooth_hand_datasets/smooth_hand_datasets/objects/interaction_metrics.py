@@ -126,41 +126,6 @@ def touching(clearance: Float[np.ndarray, "T F"]) -> Bool[np.ndarray, "T F"]:
     return np.asarray(np.abs(clearance) <= CONTACT_M)
 
 
-class Agreement(NamedTuple):
-    """Comparison of a robot hand's contacts with the human's.
-
-    Attributes:
-        both: number of pairs of frame and finger in which human and robot are in contact.
-        robot: number of such pairs in which the robot is in contact.
-        human: number of such pairs in which the human is in contact.
-    """
-
-    both: int
-    robot: int
-    human: int
-
-    @property
-    def precision(self) -> float:
-        """Share of the robot's contacts that the human also has; NaN without contacts."""
-        return self.both / self.robot if self.robot else float("nan")
-
-    @property
-    def recall(self) -> float:
-        """Share of the human's contacts that the robot also has; NaN without contacts."""
-        return self.both / self.human if self.human else float("nan")
-
-    @property
-    def f1(self) -> float:
-        """Harmonic mean of precision and recall."""
-        total = self.robot + self.human
-        return 2 * self.both / total if total else float("nan")
-
-
-def agreement(human: Bool[np.ndarray, "T F"], robot: Bool[np.ndarray, "T F"]) -> Agreement:
-    """Counts contacts, finger by finger and frame by frame."""
-    return Agreement(int((human & robot).sum()), int(robot.sum()), int(human.sum()))
-
-
 def interaction_tracks(
     surface: HandSurface,
     joint_positions: Float[np.ndarray, "T n"],
@@ -216,20 +181,19 @@ def interaction_figures(tracks: Mapping[str, Float[np.ndarray, " T"]]) -> dict[s
         frames of the deepest point; ``contacts``, the number of the human's contacts.
     """
     names = ("shared_contacts", "robot_contacts", "human_contacts")
-    agreement = Agreement(*(int(tracks[name].sum()) for name in names))
+    shared, robot, human = (int(tracks[name].sum()) for name in names)
     deep = tracks["object_depth"][np.isfinite(tracks["object_depth"])]
 
-    def each(name: str) -> float:
-        total = 1e3 * float(tracks[name].sum())
-        return total / agreement.human if agreement.human else float("nan")
+    def share(part: float, whole: float) -> float:
+        return part / whole if whole else float("nan")
 
     return {
-        "contact_precision": agreement.precision,
-        "contact_recall": agreement.recall,
-        "contact_f1": agreement.f1,
-        "contact_error_mm": each("contact_error"),
-        "contact_place_mm": each("contact_place"),
-        "penetration_max_mm": 1e3 * float(deep.max(initial=0.0)) if len(deep) else float("nan"),
-        "penetration_mean_mm": 1e3 * float(deep.mean()) if len(deep) else float("nan"),
-        "contacts": float(agreement.human),
+        "contact_precision": share(shared, robot),
+        "contact_recall": share(shared, human),
+        "contact_f1": share(2 * shared, robot + human),
+        "contact_error_mm": share(1e3 * float(tracks["contact_error"].sum()), human),
+        "contact_place_mm": share(1e3 * float(tracks["contact_place"].sum()), human),
+        "penetration_max_mm": 1e3 * float(deep.max()) if len(deep) else float("nan"),
+        "penetration_mean_mm": share(1e3 * float(deep.sum()), len(deep)),
+        "contacts": float(human),
     }
