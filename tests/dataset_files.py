@@ -195,19 +195,26 @@ def avp_file(
 
 
 def hts_file(
-    path: Path, *, stamped: bool = True, apart_ns: int = 0, exchanged: bool = False
+    path: Path,
+    *,
+    sides: Sequence[Side] = SIDES,
+    stamped: bool = True,
+    apart_ns: int = 0,
+    exchanged: bool = False,
+    between: bytes = b"\n",
 ) -> None:
     """Hand Tracking Streamer's lines; the left hand is sent some time after the right one."""
     parts = []
     for k in range(len(hand("right").wrist)):
-        for n, side in enumerate(SIDES):
+        for n, side in enumerate(sides):
             it = hand(side)
             local = (it.points[k] - it.points[k, 0]) @ app.turn(it.wrist[k, 3:])
             at = 10**9 + round(k / RATE * 1e9) + n * apart_ns
             meta = f" | f = {k} | t = {at}" if stamped else ""
             named = other(side) if exchanged else side
             parts.append(app.hts_packet(named, tuple(it.wrist[k]), local, meta))
-    path.write_bytes(b"\n".join(parts))
+    parts.append(b"Head pose:, 0, 1.5, 0, 0, 0, 0, 1")
+    path.write_bytes(between.join(parts))
 
 
 # What hand models say of a video: the camera's frame, x right, y down, z into the picture.

@@ -264,10 +264,8 @@ def test_a_folder_of_another_format_or_options_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"part": 2, "parts": 2}, "from 0 to"),
         ({"rate": 0.0}, "positive"),
         ({"shard_mb": 0.0}, "above 0"),
-        ({"objects": -1}, "0 or more"),
     ],
 )
 def test_options_are_checked(wrong, said):

@@ -162,8 +162,8 @@ def make_dataset(
     for note in request_notes(recipe.request):
         reporter.note(note, matters=True)
     survey = find_items(request.sources, layout=request.layout, leave_out=request.output)
+    kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
     if not survey.items and not survey.refused:
-        kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
         ways = [
             f"; a {suffix} file is {kind}"
             for suffix in survey.passed_over
@@ -205,10 +205,7 @@ def make_dataset(
         before = len(finished)
         left = [item for item in items if item.name not in finished]
         line = f"{len(left)} to retarget, {before} already done"
-        if survey.passed_over:
-            kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
-            line += f"; skipped (unknown format): {kinds}"
-        reporter.note(line)
+        reporter.note(line + (f"; skipped (unknown format): {kinds}" if kinds else ""))
         there = [item for item in left if (request.output / f"{item.name}.npz").exists()]
         if request.mirror and there:
             reporter.note(

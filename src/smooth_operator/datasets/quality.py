@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,6 +20,7 @@ from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
 from smooth_operator.metrics.joints import max_joint_step
 from smooth_operator.metrics.safety import COLLISION_DEPTH
+from smooth_operator.metrics.table import Metric
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
@@ -37,59 +38,43 @@ COLLISION_RATE_HZ: Final = 5.0
 command."""
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A quality metric.
-
-    Attributes:
-        name: name of the metric; an episode has ``SIDE.NAME``, such as ``right.reach``.
-        unit: its unit; "" for a plain number.
-        better: direction that is better, ``up`` or ``down``.
-        meaning: description in one line.
-    """
-
-    name: str
-    unit: str
-    better: Literal["up", "down"]
-    meaning: str
-
-
 FIGURES: Final = (
-    Figure("confidence", "", "up", "mean confidence reported by the tracker"),
-    Figure("valid", "", "up", "share of frames with a valid command from a visible hand"),
-    Figure("gap_s", "s", "down", "longest time without a valid command"),
-    Figure("wrist", "", "up", "share of frames with a known wrist pose"),
-    Figure(
+    Metric("confidence", "", "up", "mean confidence reported by the tracker"),
+    Metric("valid", "", "up", "share of frames with a valid command from a visible hand"),
+    Metric("gap_s", "s", "down", "longest time without a valid command"),
+    Metric("wrist", "", "up", "share of frames with a known wrist pose"),
+    Metric(
         "jump_m_s",
         "m/s",
         "down",
         "largest speed of the human wrist, or of a fingertip relative to the wrist",
     ),
-    Figure("finger_motion_mm", "mm", "up", "range of the human fingertips' motion in the clip"),
-    Figure(
+    Metric("finger_motion_mm", "mm", "up", "range of the human fingertips' motion in the clip"),
+    Metric(
         "tip_error_mm", "mm", "down", "mean distance between robot and aligned human fingertips"
     ),
-    Figure(
+    Metric(
         "tip_error_p95_mm", "mm", "down", "95th percentile of that distance for the worst finger"
     ),
-    Figure("reach", "", "up", "share of frames in which every robot fingertip is near its target"),
-    Figure("collision", "", "down", "share of frames in which links overlap by over 2 mm"),
-    Figure("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
-    Figure("joint_step_rad", "rad", "down", "largest change of a joint between two frames"),
-    Figure("jerk_rad_s3", "rad/s³", "down", "mean jerk of the joints"),
-    Figure("tracking_loss", "", "down", "mean of the method's own objective"),
-    Figure("contact_precision", "", "up", "share of the robot's contacts that the human also has"),
-    Figure("contact_recall", "", "up", "share of the human's contacts that the robot also has"),
-    Figure(
+    Metric("reach", "", "up", "share of frames in which every robot fingertip is near its target"),
+    Metric("collision", "", "down", "share of frames in which links overlap by over 2 mm"),
+    Metric("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
+    Metric("joint_step_rad", "rad", "down", "largest change of a joint between two frames"),
+    Metric("jerk_rad_s3", "rad/s³", "down", "mean jerk of the joints"),
+    Metric("tracking_loss", "", "down", "mean of the method's own objective"),
+    Metric("contact_precision", "", "up", "share of the robot's contacts that the human also has"),
+    Metric("contact_recall", "", "up", "share of the human's contacts that the robot also has"),
+    Metric(
         "contact_error_mm",
         "mm",
         "down",
         "distance from robot fingertip to object where the human has contact",
     ),
-    Figure("object_depth_mm", "mm", "down", "depth of the robot hand's deepest point in an object"),
+    Metric("object_depth_mm", "mm", "down", "depth of the robot hand's deepest point in an object"),
 )
-"""All quality metrics. ``frames``, ``seconds`` and ``rate_hz`` belong to the episode, the others to
-each hand. The last four exist only for clips that were retargeted with their objects."""
+"""All quality metrics. An episode has ``SIDE.NAME``, such as ``right.reach``, for each hand, and
+``frames``, ``seconds`` and ``rate_hz``. The last four exist only for clips that were retargeted
+with their objects."""
 
 
 @dataclass(frozen=True)
@@ -250,11 +235,11 @@ def quality_figures(episode: RobotClip) -> dict[str, float]:
 
 def worst(figures: Mapping[str, float], name: str) -> float | None:
     """The worse of the two hands' values of a metric; None if it is unknown for both."""
-    better = next(figure.better for figure in FIGURES if figure.name == name)
+    goal = next(figure.goal for figure in FIGURES if figure.name == name)
     values = [value for key, value in figures.items() if key.partition(".")[2] == name]
     if not values:
         return None
-    return min(values) if better == "up" else max(values)
+    return min(values) if goal == "up" else max(values)
 
 
 def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float | None]:

@@ -29,6 +29,8 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 INDEX: Final = "index.json"
 _PREFIX: Final = "pack-"
+_DAMAGE: Final = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
+"""What reading a damaged pack raises."""
 _MOST_BYTES: Final = 64_000_000
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 _DTYPES: Final = dict.fromkeys(
@@ -115,7 +117,7 @@ class Store:
                         done = accept(item["item"], item["settings"], files, item["rate"])
                         if done and _shown(item["clips"]):
                             packs[item["item"]] = _pack_entry(path, position, item["clips"])
-            except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+            except _DAMAGE:
                 with contextlib.suppress(OSError):
                     path.unlink()
         return packs
@@ -129,7 +131,7 @@ class Store:
             finished: name of item -> the result that is used.
         """
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+            with contextlib.suppress(*_DAMAGE):
                 with _Pack(path) as pack:
                     names = [str(item["item"]) for item in pack.index["items"]]
                 if all(name in finished and finished[name].pack != path for name in names):
@@ -143,7 +145,7 @@ class Store:
                 self.close()  # items are read in the order of the packs
                 pack = self._open[stored.pack] = _Pack(stored.pack)
             return pack.clips(stored.position)
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except _DAMAGE as error:
             self.close()
             with contextlib.suppress(OSError):
                 stored.pack.unlink()
@@ -217,26 +219,17 @@ def write_pack(
     return {each["item"]: _pack_entry(path, at, each["clips"]) for at, each in enumerate(index)}
 
 
-class _Pack:
+class _Pack(zipfile.ZipFile):
     """A pack that is open for reading."""
 
     def __init__(self, path: Path) -> None:
-        self._zip = zipfile.ZipFile(path)
+        super().__init__(path)
         try:
-            content = self._zip.read(INDEX)
+            content = self.read(INDEX)
             self.index: dict[str, Any] = parse_json(content, most_bytes=_MOST_BYTES)
         except BaseException:
-            self._zip.close()
+            self.close()
             raise
-
-    def __enter__(self) -> _Pack:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        self._zip.close()
 
     def clips(self, position: int) -> list[RobotClip]:
         """Reads the clips of one item."""
@@ -247,7 +240,7 @@ class _Pack:
         prefix = f"{document['arrays']}/"
         arrays = {}
         for name in document["names"]:
-            with self._zip.open(f"{prefix}{name}.npy") as member:
+            with self.open(f"{prefix}{name}.npy") as member:
                 arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
         config = shared_config(self.index["configs"][document["config"]])
         return replace(decoded(arrays, document["clip"]), config=config)

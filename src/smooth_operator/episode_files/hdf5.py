@@ -264,13 +264,8 @@ def _read_commands(
     group: Hdf5Group, timed: Hdf5Group | None, path: Path
 ) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
     positions = _numbers(group, "joint_positions", (None, None), path)
-    count, joints = positions.shape
+    count = len(positions)
     names = _data_of(group, "joint_names", path)
-    if names.shape != (joints,):
-        raise RecordingError(
-            f"{path}: joint_names must have shape {(joints,)} to fit joint_positions "
-            f"{positions.shape}, not {names.shape}"
-        )
     if names.texts is None or None in names.texts:
         raise RecordingError(f"{path}: {names.name} must hold text, not {names.type[:80]}")
     status = _array_of(group, "status", (count,), "iu", path)
@@ -285,10 +280,10 @@ def _read_commands(
     )
     check_commands(commands, str(path))
     stages: dict[str, np.ndarray] = {}
-    for key in () if timed is None else timed.arrays:
-        assert timed is not None
-        stage = _text_of(timed.arrays[key].attributes.get("stage")) or key
-        stages[stage] = _numbers(timed, key, (count,), path)
+    if timed is not None:
+        for key, array in timed.arrays.items():
+            stage = _text_of(array.attributes.get("stage")) or key
+            stages[stage] = _numbers(timed, key, (count,), path)
     return commands, stages
 
 

@@ -50,18 +50,12 @@ class WritingOptions:
     loose: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.part < self.parts:
-            raise ConfigError(
-                f"part must be from 0 to parts - 1 = {self.parts - 1}, not {self.part}"
-            )
         if self.rate is not None and not 0.0 < self.rate < float("inf"):
             raise ConfigError(
                 f"rate must be a positive number of frames per second, not {self.rate}"
             )
         if self.shard_mb is not None and not self.shard_mb > 0.0:
             raise ConfigError(f"shard_mb must be above 0, not {self.shard_mb}")
-        if self.objects < 0:
-            raise ConfigError(f"objects must be 0 or more, not {self.objects}")
 
 
 @dataclass(frozen=True)

@@ -210,7 +210,7 @@ class ShardedWriter(ABC):
             "frames": len(clip.clip),
             "task": clip.clip.task,
         }
-        try:
+        with self._writing():
             if not self._open:
                 self._begin(self._number)
                 self._open = True
@@ -224,24 +224,24 @@ class ShardedWriter(ABC):
             self._take(key)
             if self._size() >= self._limit or len(self._pending) >= self.most_clips:
                 self._finish()
-        except (OSError, MemoryError) as error:
-            self._abandon()
-            if isinstance(error, OutputError) or not isinstance(error, OSError):
-                raise
-            raise output_error(self.output, error) from error
 
     def close(self) -> None:
         """Completes the last shard and writes the description of all shards."""
-        try:
+        with self._writing():
             if self._open and self._pending:
                 self._finish()
             self._abandon()
             self._describe()
-        except OSError as error:
-            self._abandon()
-            if isinstance(error, OutputError):
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Removes the incomplete shard if it can't be written."""
+        with _about(self.output):
+            try:
+                yield
+            except (OSError, MemoryError):
+                self._abandon()
                 raise
-            raise output_error(self.output, error) from error
 
     def __enter__(self) -> Self:
         return self

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from smooth_operator.episode_files.lerobot.columns import NO_COMMAND
 from smooth_operator.episode_files.lerobot.human import OPTIONAL_PARTS, human_sides, read_human
 from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN, arrow, numbers, read_table
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError, brief, listed, reason
-from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.checks import (
     check_anatomy,
     check_rate,
@@ -37,11 +36,10 @@ from smooth_operator.formats.foreign import foreign_dataset
 from smooth_operator.formats.registry import is_dataset
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.io.landmark_order import in_our_order, layout_order
-from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 _FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?(\d{1,2})d?)?\}", re.ASCII)
 _LONGEST_PATH = 500
-_OWN_STATUS = {int(status) for status in Status}
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,12 +399,6 @@ def _commands(
 ) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
     names = tuple(_names(features["joint_positions"]))
     codes = numbers(table, "status", 1, file)[:, 0].astype(np.int64)
-    unknown = sorted(set(codes.tolist()) - _OWN_STATUS - {NO_COMMAND})
-    if unknown:
-        raise RecordingError(
-            f"{file}: status {brief(unknown)} is not one of {sorted(_OWN_STATUS)}; if a newer "
-            f"version wrote it, upgrade: {UPGRADE}"
-        )
     there = codes != NO_COMMAND
     stages: dict[str, np.ndarray] = {}
     if "stages_ms" in features:
@@ -420,7 +412,7 @@ def _commands(
         joint_names=names,
         stamps=numbers(table, "command_stamp", 1, file)[there, 0],
         latency_ms=numbers(table, "latency_ms", 1, file)[there, 0],
-        status=codes[there].astype(np.int8),
+        status=codes[there],
     )
     check_commands(commands, str(file))
-    return commands, stages
+    return replace(commands, status=codes[there].astype(np.int8)), stages
