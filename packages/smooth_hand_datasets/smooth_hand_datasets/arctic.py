@@ -20,10 +20,10 @@ from smooth_hand_datasets.scene import (
     checked_count,
     nearby,
     rigid,
-    stamps_at,
 )
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table
 from smooth_operator import poses
+from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
@@ -97,7 +97,7 @@ class Arctic:
             source.append(file)
         return Scene(
             placed,
-            stamps_at(count, options.rate or RATE_HZ),
+            stamps_from_rate(count, options.rate or RATE_HZ, where),
             "arctic",
             tuple(source),
             shape=shape,

@@ -21,12 +21,12 @@ from smooth_hand_datasets.scene import (
     checked_count,
     nearby,
     rigid,
-    stamps_at,
 )
 from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.plain_files import read_text
 from smooth_operator.types import Side, as_side
@@ -121,7 +121,7 @@ class DexYcb:
             task = f"pick up the {_words(things[grasped].name)}"
         return Scene(
             placed,
-            stamps_at(count, options.rate or RATE_HZ),
+            stamps_from_rate(count, options.rate or RATE_HZ, str(path)),
             "dexycb/apriltag",
             (path, ref.path / "meta.yml"),
             poses.invert(cameras["apriltag"]),

@@ -14,11 +14,12 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_hand_datasets.mano_model import PlacedHand, load_model
-from smooth_hand_datasets.scene import Scene, Thing, checked_count, stamps_at
+from smooth_hand_datasets.scene import Scene, Thing, checked_count
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table, text
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError, brief, reason
 from smooth_operator.formats.arrays import npz_arrays
+from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.types import Side
@@ -78,7 +79,7 @@ class Grab:
         intent = text(held.get("motion_intent"))
         return Scene(
             placed,
-            stamps_at(count, rate),
+            stamps_from_rate(count, rate, where),
             "grab",
             (ref.path,),
             things=[thing],

@@ -194,11 +194,6 @@ def rigid(
     return poses.invert(quaternions) if inverse else quaternions
 
 
-def stamps_at(count: int, rate: float) -> Float[np.ndarray, " T"]:
-    """(T,) evenly spaced stamps from zero [s]."""
-    return np.arange(count) / rate
-
-
 def nearby(folder: Path, *names: str) -> Path | None:
     """Returns the first relative path that exists in a folder or one of its six nearest parents."""
     for place in (folder, *list(folder.parents)[:6]):

@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 
 from smooth_hand_datasets.mano_model import load_model
-from smooth_hand_datasets.scene import Scene, Thing, checked_count, rigid, stamps_at
+from smooth_hand_datasets.scene import Scene, Thing, checked_count, rigid
 from smooth_hand_datasets.unpickle import array, load_restricted, table
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
@@ -100,7 +101,7 @@ class Taco:
             source.append(file)
         return Scene(
             placed,
-            stamps_at(count, options.rate or RATE_HZ),
+            stamps_from_rate(count, options.rate or RATE_HZ, str(ref.path)),
             "taco",
             tuple(source),
             shape=shape,
