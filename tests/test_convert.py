@@ -171,11 +171,7 @@ def some_commands(value: Episode, frames: list[int]) -> Episode:
 @pytest.mark.parametrize("to", NAMES)
 @pytest.mark.parametrize(
     "value",
-    [
-        episode(parts="hand"),
-        episode(parts="commands"),
-        some_commands(episode(), [2, 3, 9, 30]),
-    ],
+    [episode(parts="hand"), episode(parts="commands"), some_commands(episode(), [2, 3, 9, 30])],
     ids=["no commands", "no hand", "commands of some frames"],
 )
 def test_a_part_of_an_episode(tmp_path, to, value):

@@ -162,10 +162,7 @@ def test_clips_of_other_rates_are_resampled(tmp_path):
 
 @pytest.mark.parametrize(
     ("second", "options", "said"),
-    [
-        ({"wrists": False}, {}, "its wrists are unknown"),
-        ({}, {"videos": "link"}, "has no video"),
-    ],
+    [({"wrists": False}, {}, "its wrists are unknown"), ({}, {"videos": "link"}, "has no video")],
 )
 def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(second, options, said, tmp_path):
     video = mp4(tmp_path / "film.mp4")

@@ -23,20 +23,10 @@ from smooth_operator.cli.dataset import _print
 from smooth_operator.datasets import pipeline
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
-from smooth_operator.datasets.quality import (
-    REACHED,
-    Dropped,
-    hand_length,
-    quality_tracks,
-    select,
-)
+from smooth_operator.datasets.quality import REACHED, Dropped, hand_length, quality_tracks, select
 from smooth_operator.datasets.request import Limits
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.datasets.sources import (
-    find_items,
-    is_manifest,
-    parse_shard,
-)
+from smooth_operator.datasets.sources import find_items, is_manifest, parse_shard
 from smooth_operator.datasets.store import Store
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError

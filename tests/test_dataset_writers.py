@@ -262,11 +262,7 @@ def test_a_folder_of_another_format_or_options_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"rate": 0.0}, "positive"),
-        ({"shard_mb": 0.0}, "above 0"),
-    ],
+    ("wrong", "said"), [({"rate": 0.0}, "positive"), ({"shard_mb": 0.0}, "above 0")]
 )
 def test_options_are_checked(wrong, said):
     with pytest.raises(ConfigError, match=said):

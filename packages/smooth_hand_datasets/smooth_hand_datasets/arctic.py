@@ -14,13 +14,7 @@ from typing import Final
 import numpy as np
 
 from smooth_hand_datasets.mano_model import load_model
-from smooth_hand_datasets.scene import (
-    Scene,
-    Thing,
-    checked_count,
-    nearby,
-    rigid,
-)
+from smooth_hand_datasets.scene import Scene, Thing, checked_count, nearby, rigid
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table
 from smooth_operator import poses
 from smooth_operator.formats.checks import stamps_from_rate
@@ -116,10 +110,7 @@ def _parts(rows: np.ndarray, name: str, path: Path, options: ReadingOptions) -> 
     hinged = poses.compose(base, np.concatenate([np.zeros((len(rows), 3)), turn], axis=1))
     return [
         Thing(
-            f"{name}/{part}",
-            pose,
-            None if folder is None else folder / name / f"{part}.obj",
-            _MM,
+            f"{name}/{part}", pose, None if folder is None else folder / name / f"{part}.obj", _MM
         )
         for part, pose in (("bottom", base), ("top", hinged))
     ]

@@ -15,13 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_hand_datasets.mano_model import load_model
-from smooth_hand_datasets.scene import (
-    Scene,
-    Thing,
-    checked_count,
-    nearby,
-    rigid,
-)
+from smooth_hand_datasets.scene import Scene, Thing, checked_count, nearby, rigid
 from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
 from smooth_operator.errors import DocumentError, RecordingError

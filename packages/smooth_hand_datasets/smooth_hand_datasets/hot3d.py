@@ -93,10 +93,7 @@ class Hot3d:
                 raise RecordingError(f"{path}: no line has betas, the shape of the hand")
             shape[side] = np.median(betas[with_shape], axis=0)
             turns = model.rotations(
-                np.zeros((len(track), 3)),
-                track[:, 7:],
-                pca=True,
-                flat_hand_mean=False,
+                np.zeros((len(track), 3)), track[:, 7:], pca=True, flat_hand_mean=False
             )
             finite = np.isfinite(track).all(axis=1)
             turns[~finite] = np.nan

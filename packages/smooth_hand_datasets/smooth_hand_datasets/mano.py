@@ -19,14 +19,7 @@ from jaxtyping import Float
 
 from smooth_hand_datasets.mano_model import PlacedHand, load_model
 from smooth_hand_datasets.scene import Scene, checked_count, world_pose
-from smooth_hand_datasets.unpickle import (
-    NotDataError,
-    array,
-    load_restricted,
-    numbers,
-    table,
-    text,
-)
+from smooth_hand_datasets.unpickle import NotDataError, array, load_restricted, numbers, table, text
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.formats.arrays import npz_arrays

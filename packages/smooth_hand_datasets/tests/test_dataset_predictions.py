@@ -144,10 +144,7 @@ class Evil:
     [
         ([[{"is_right": 2.0, "pred_keypoints_3d": np.zeros((21, 3))}]], "is_right must be 0 or 1"),
         ([[{"pred_keypoints_3d": np.zeros((21, 3))}]], "a hand lacks its side"),
-        (
-            [[{"is_right": 1, "pred_keypoints_3d": np.zeros((16, 3))}]],
-            r"\(21, 3\) were expected",
-        ),
+        ([[{"is_right": 1, "pred_keypoints_3d": np.zeros((16, 3))}]], r"\(21, 3\) were expected"),
         ([[7, "pred_keypoints_3d"]], "a hand of frame 0 must be a table"),
         ("pred_keypoints_3d", "it contains a str; expected frames"),
         ([{"frame": 10**7, "is_right": 1, "pred_keypoints_3d": 0}], "a frame's number"),

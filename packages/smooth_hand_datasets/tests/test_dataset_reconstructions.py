@@ -145,10 +145,7 @@ def test_dyn_hamr(tmp_path):
     ("more", "said"),
     [
         ({"is_right": np.array([[0.0] * 3 + [1.0] * 4] * 3)}, "is_right of track 0 must be 0 or 1"),
-        (
-            {"betas": np.zeros((3, 16))},
-            r"betas: .* \(3, 10\) were expected, not \(3, 16\)",
-        ),
+        ({"betas": np.zeros((3, 16))}, r"betas: .* \(3, 10\) were expected, not \(3, 16\)"),
         ({"cam_t": np.zeros((3, 3))}, r"cam_t: numbers of shape \(3, 7, 3\) were expected"),
     ],
 )

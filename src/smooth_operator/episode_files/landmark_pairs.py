@@ -30,11 +30,7 @@ from smooth_operator.formats.arrays import StoredArrays, npz_arrays, open_arrays
 from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.checks import check_rate
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ObjectTrack, ReadingOptions
-from smooth_operator.formats.hand_arrays import (
-    pose_rows,
-    quaternion_order,
-    shares,
-)
+from smooth_operator.formats.hand_arrays import pose_rows, quaternion_order, shares
 from smooth_operator.formats.readers import array_hand
 from smooth_operator.types import HandRecording, Side
 

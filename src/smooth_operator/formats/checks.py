@@ -14,12 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError, listed
-from smooth_operator.io.anatomy import (
-    OF_A_PICTURE,
-    PALM_RANGE_M,
-    keeps_lengths,
-    of_a_picture,
-)
+from smooth_operator.io.anatomy import OF_A_PICTURE, PALM_RANGE_M, keeps_lengths, of_a_picture
 from smooth_operator.io.landmark_order import doubt, layout_order, remedy
 from smooth_operator.landmarks import TIPS, WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
@@ -260,9 +255,7 @@ def finger_motion(recording: HandRecording) -> float | None:
 
 
 def check_stamps(
-    stamps: Float[np.ndarray, " T"],
-    where: str,
-    poses: Float[np.ndarray, "T ..."] | None = None,
+    stamps: Float[np.ndarray, " T"], where: str, poses: Float[np.ndarray, "T ..."] | None = None
 ) -> None:
     """Refuses frame timestamps that are not finite, not strictly increasing, or not in seconds.
 

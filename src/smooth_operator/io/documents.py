@@ -7,13 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import DocumentError
-from smooth_operator.io.plain_files import (
-    MOST_BYTES,
-    MOST_DIGITS,
-    MOST_LEVELS,
-    read_text,
-    too_deep,
-)
+from smooth_operator.io.plain_files import MOST_BYTES, MOST_DIGITS, MOST_LEVELS, read_text, too_deep
 
 
 def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:

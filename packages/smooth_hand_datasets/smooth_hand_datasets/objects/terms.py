@@ -297,10 +297,7 @@ class ObjectCosts:
         return both
 
     def all_costs(
-        self,
-        shapes: tuple[Shape, ...],
-        x: Float[np.ndarray, "T v"],
-        frames: ObjectFrame,
+        self, shapes: tuple[Shape, ...], x: Float[np.ndarray, "T v"], frames: ObjectFrame
     ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T v"], Float[np.ndarray, "T v v"]]:
         """Costs, gradients and Hessians of many frames, on the host."""
         parts = []

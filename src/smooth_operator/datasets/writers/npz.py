@@ -19,11 +19,7 @@ from smooth_operator.datasets.sources import Item
 from smooth_operator.datasets.writers.arrays import resampled
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.commands import (
-    config_path,
-    encode_commands,
-    write_encoded_commands,
-)
+from smooth_operator.formats.commands import config_path, encode_commands, write_encoded_commands
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.planning import foreign_result
 from smooth_operator.types import Side, Status

@@ -14,11 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import (
-    clip_arrays,
-    clip_document,
-    resampled,
-)
+from smooth_operator.datasets.writers.arrays import clip_arrays, clip_document, resampled
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import MB, ShardedWriter, drop_parquet
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
