@@ -2,9 +2,9 @@
 
 ::
 
-    processed/NAME/mano/EMBODIMENT/TASK/task_info.json
-    processed/NAME/mano/EMBODIMENT/TASK/0/trajectory_keypoints.npz
-    processed/NAME/assets/objects/OBJECT/visual.obj
+    processed/smooth_operator/mano/EMBODIMENT/TASK/task_info.json
+    processed/smooth_operator/mano/EMBODIMENT/TASK/0/trajectory_keypoints.npz
+    processed/smooth_operator/assets/objects/OBJECT/visual.obj
 
 EMBODIMENT is ``bimanual``, ``right`` or ``left``; TASK is the clip. Unpack the tar
 shards in the folder itself, which already has the meshes.
@@ -31,12 +31,13 @@ import numpy as np
 from smooth_hand_datasets.keypoints import FileShards, Scene
 from smooth_operator import poses
 from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import slug, unique_slug
+from smooth_operator.datasets.writers.arrays import unique_slug
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import npz_bytes
 from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json
 
+_ROOT: Final = "processed/smooth_operator"
 _RATE: Final = 50.0  # ref_dt = 0.02, the default of SPIDER's programs
 _TIPS: Final = [4, 8, 12, 16, 20]
 _AXES: Final = np.array([0.0, 0.0, 0.0, *np.sqrt([0.5, 0.0, 0.5, 0.0])])
@@ -53,13 +54,11 @@ class _Writer(FileShards):
 
     def __init__(self, output: Path, options: WritingOptions) -> None:
         self._rate = options.rate or _RATE
-        self._name = slug(options.name)
-        fixed = {"rate": self._rate, "name": self._name, "loose": options.loose}
+        fixed = {"rate": self._rate, "loose": options.loose}
         super().__init__(output, options, "spider", 256.0, fixed)
 
     def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
-        root = f"processed/{self._name}"
-        meshes = f"{root}/assets/objects"
+        meshes = f"{_ROOT}/assets/objects"
         scene = self.scene(clip, self._rate, meshes)
         both = len(scene.points) == 2
         embodiment = "bimanual" if both else next(iter(scene.points))
@@ -67,7 +66,7 @@ class _Writer(FileShards):
         task = unique_slug(clip.clip.name, entry["key"])
         info: dict[str, Any] = {
             "task": task,
-            "dataset_name": self._name,
+            "dataset_name": "smooth_operator",
             "robot_type": "mano",
             "embodiment_type": embodiment,
             "data_id": 0,
@@ -85,7 +84,7 @@ class _Writer(FileShards):
             "world": clip.clip.world,
             "filled": scene.filled,
         }
-        place = f"{root}/mano/{embodiment}/{task}"
+        place = f"{_ROOT}/mano/{embodiment}/{task}"
         self.add_file(f"{place}/task_info.json", to_json(info, indent=2).encode())
         self.add_file(f"{place}/0/trajectory_keypoints.npz", npz_bytes(arrays))
         entry["path"] = place

@@ -52,10 +52,10 @@ def write(form: str, output: Path, clips: list[RobotClip], **options: object) ->
     return list(writer.notes)
 
 
-def read_spider(root: Path, name: str, embodiment: str) -> dict[str, dict[str, np.ndarray]]:
+def read_spider(root: Path, embodiment: str) -> dict[str, dict[str, np.ndarray]]:
     """Task -> what SPIDER's ``ik.py`` and ``detect_contact.py`` load, with its checks of shapes."""
     found = {}
-    for folder in sorted((root / "processed" / name / "mano" / embodiment).iterdir()):
+    for folder in sorted((root / "processed" / "smooth_operator" / "mano" / embodiment).iterdir()):
         info = json.loads((folder / "task_info.json").read_text())
         assert info["task"] == folder.name
         assert info["embodiment_type"] == embodiment
@@ -96,9 +96,9 @@ def vertices(path: Path) -> np.ndarray:
 def test_spider_reads_both_hands_and_their_objects(tmp_path, cube):
     clip = with_mesh(robot_clip(0, frames=61, objects=2), cube)
     out = tmp_path / "out"
-    write("spider", out, [clip, robot_clip(1, frames=30, sides=("left",))], name="my set")
+    write("spider", out, [clip, robot_clip(1, frames=30, sides=("left",))])
     unpack(out)
-    data = read_spider(out, "my_set", "bimanual")["part1/pick/0"]
+    data = read_spider(out, "bimanual")["part1/pick/0"]
     assert data["ref_dt"] == 0.02
     exact = robot_clip(0, frames=101, rate=50.0, objects=2)
     lifts = []
@@ -119,13 +119,13 @@ def test_spider_reads_both_hands_and_their_objects(tmp_path, cube):
     lowest = np.inf
     for side in ("right", "left"):
         pose = data[f"qpos_obj_{side}"]
-        info = next((out / "processed" / "my_set" / "assets" / "objects").iterdir())
+        info = next((out / "processed" / "smooth_operator" / "assets" / "objects").iterdir())
         corners = vertices(info / "visual.obj")
         assert np.abs(corners).max() == pytest.approx(SIZE)  # metres now
         world = np.einsum("tij,vj->tvi", rotation(pose[:, 3:]), corners) + pose[:, None, :3]
         lowest = min(lowest, float(world[..., 2].min()))
     assert lowest == pytest.approx(0.0, abs=1e-5)  # on the floor
-    one = read_spider(out, "my_set", "left")["part1/pick/1"]
+    one = read_spider(out, "left")["part1/pick/1"]
     assert (one["qpos_wrist_right"] == [0, 0, 0, 1, 0, 0, 0]).all()
     assert (one["qpos_finger_right"] == [0, 0, 0, 1, 0, 0, 0]).all()
     assert np.ptp(one["qpos_wrist_left"][:, 0]) > 0.01
@@ -135,7 +135,7 @@ def test_one_object_of_both_hands_is_the_right_ones(tmp_path, cube):
     out = tmp_path / "out"
     write("spider", out, [with_mesh(robot_clip(0), cube)], loose=True)
     assert not (out / "shards").exists()
-    data = read_spider(out, "smooth_operator", "bimanual")["part1/pick/0"]
+    data = read_spider(out, "bimanual")["part1/pick/0"]
     assert (data["qpos_obj_left"] == [0, 0, 0, 1, 0, 0, 0]).all()
     assert np.ptp(data["qpos_obj_right"][:, 0]) > 0.01
     (info,) = out.rglob("task_info.json")
@@ -150,7 +150,7 @@ def test_landmarks_of_a_trackers_own_frame_are_carried_to_the_wrist(tmp_path):
         moved[side] = replace(hand, landmarks=hand.landmarks @ turn.T + [3.0, 0.0, -1.0])
     out = tmp_path / "out"
     write("spider", out, [replace(clip, clip=replace(clip.clip, hands=moved))], loose=True)
-    data = read_spider(out, "smooth_operator", "bimanual")["part1/pick/0"]
+    data = read_spider(out, "bimanual")["part1/pick/0"]
     for side, hand in clip.clip.hands.items():
         off = data[f"qpos_finger_{side}"][..., :3] - hand.landmarks[:, TIPS]
         # The wrist's axes are those of the palm within some degrees.
@@ -220,7 +220,7 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path, cube):
 
     notes = write("spider", tmp_path / "out", [lost(slice(5, 9))], loose=True)
     assert notes == ["1 clip: short gaps of the tracker were filled by interpolation"]
-    data = read_spider(tmp_path / "out", "smooth_operator", "bimanual")["part1/pick/0"]
+    data = read_spider(tmp_path / "out", "bimanual")["part1/pick/0"]
     truth = whole.clip.hands["right"].T_world_wrist
     np.testing.assert_allclose(data["qpos_wrist_right"][:, :2], truth[:, :2], atol=2e-3)
     with pytest.raises(RecordingError, match="right hand is unknown in 25% of the frames"):

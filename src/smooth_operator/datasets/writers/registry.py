@@ -32,7 +32,6 @@ class WritingOptions:
         parts: number of writers that share the folder.
         apart: True if the parts contain different clips, so that a writer need not read the indices
             of the others; with a thousand parts, reading them takes longer than writing one part.
-        name: name of the data set, for formats that store one.
         loose: SPIDER and FlashDexRetarget: True for files as these programs read them, False for
             tar files to unpack.
     """
@@ -46,7 +45,6 @@ class WritingOptions:
     part: int = 0
     parts: int = 1
     apart: bool = False
-    name: str = "smooth_operator"
     loose: bool = False
 
     def __post_init__(self) -> None:
