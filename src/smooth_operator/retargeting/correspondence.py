@@ -29,6 +29,7 @@ from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.settings import check_numbers, check_range
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
+_GRASPS: Final = (0.55, 0.85)  # mean extensions of a hand that points and of one that may grasp
 _POSES: Final = 256  # random ones, for the thumb's length
 # distance of full pressing [m]; none at twice this distance
 _PRESSED: Final = 0.012
@@ -45,6 +46,8 @@ class CorrespondenceConfig:
         near: distance between thumb and finger, on the robot's scale, below which the vector
             between their targets equals the human's [m].
         far: distance above which thumb and finger do not affect each other's targets [m].
+        grasp: increase of ``near`` and ``far`` while all fingers are unfolded, because an object
+            between thumb and fingers has the same size for both hands [m].
         press: reduction of the distance between the robot's thumb and finger in a pinch, for
             distances that are large compared to it [m].
         folded: extension of a finger (base-to-tip distance over length) at which a pinch has half
@@ -58,6 +61,7 @@ class CorrespondenceConfig:
     share: float = 1.0
     near: float = 0.015
     far: float = 0.08
+    grasp: float = 0.03
     press: float = 0.011
     folded: float = 0.35
     thumb_share: float = 0.6
@@ -193,8 +197,10 @@ class Correspondence:
         gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
         apart = lengths(human, _TINY)
-        close = smooth_step((config.far - apart) / (config.far - config.near))
         extension = lengths(tips[1:] - operator.bases[1:], _TINY) / operator.lengths[1:]
+        grasps = smooth_step((extension.mean() - _GRASPS[0]) / (_GRASPS[1] - _GRASPS[0]))
+        far = config.far + config.grasp * grasps
+        close = smooth_step((far - apart) / (config.far - config.near))
         # a high power, so that a thumb at the side of a pointing finger does not bend the finger
         nearness = close**3 * smooth_step(0.5 + (extension - config.folded) / _FOLDS)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
