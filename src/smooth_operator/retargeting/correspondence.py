@@ -5,8 +5,6 @@ human's fingertip from the human knuckle, in units of finger length, because a r
 up to twice as long. When thumb and finger approach each other, their targets move together until
 the vector between them equals the human's. The lengths of the human's fingers are measured in each
 frame, because trackers stretch bones.
-
-``gripper`` has the targets of a gripper's jaws.
 """
 
 from __future__ import annotations
@@ -199,8 +197,8 @@ class Correspondence:
         apart = lengths(human, _TINY)
         extension = lengths(tips[1:] - operator.bases[1:], _TINY) / operator.lengths[1:]
         grasps = smooth_step((extension.mean() - _GRASPS[0]) / (_GRASPS[1] - _GRASPS[0]))
-        far = config.far + config.grasp * grasps
-        close = smooth_step((far - apart) / (config.far - config.near))
+        beyond = config.far + config.grasp * grasps - apart
+        close = smooth_step(beyond / (config.far - config.near))
         # a high power, so that a thumb at the side of a pointing finger does not bend the finger
         nearness = close**3 * smooth_step(0.5 + (extension - config.folded) / _FOLDS)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
