@@ -13,7 +13,6 @@ from driven_hands import read
 from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand
 from live_time import until
 from simulators import revo3_sdk, wuji_sdk, xhand_sdk
-from simulators.sdk import installed
 from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
@@ -226,15 +225,16 @@ def test_xhand_that_restarts_is_found_by_its_new_identifier(rigs):
     assert len(rig.hand.commands) == 1
 
 
-def test_xhand_is_chosen_among_two_on_a_port_that_no_other_program_uses(rigs):
+def test_xhand_is_chosen_among_two_on_a_port_that_no_other_program_uses(rigs, monkeypatch):
     rig = rigs("xhand")
     hand, other = rig.hand, xhand_sdk.XHand("right", rig.hand.port, 6)
-    with installed(xhand_sdk.xhand_modules(hand, other)):
-        with pytest.raises(SinkError, match=r"name one by settings\.device_id"):
-            rig.open()
-        rig.open(device_id=6).write(np.zeros(12))
+    for name, module in xhand_sdk.xhand_modules(hand, other).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    with pytest.raises(SinkError, match=r"name one by settings\.device_id"):
+        rig.open()
+    rig.open(device_id=6).write(np.zeros(12))
     assert (len(hand.commands), len(other.commands)) == (0, 1)
-    hand.occupied = True
+    hand.occupied = other.occupied = True
     with pytest.raises(SinkError, match=r"failed .* check .* that no other program uses it"):
         rig.open()
 

@@ -245,7 +245,7 @@ class Hand:
 
 
 def revo3_modules(*hands: Revo3) -> dict[str, types.ModuleType]:
-    """The modules of the stand-in, for `installed`, with the given hands on their ports."""
+    """The modules of the stand-in, with the given hands on their ports."""
 
     class Manager:
         async def connect_auto(self, port: str | None = None) -> Hand:

@@ -3,27 +3,9 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import importlib.util
-import sys
 import types
-from collections.abc import Iterator
 from pathlib import Path
-
-
-@contextlib.contextmanager
-def installed(modules: dict[str, types.ModuleType]) -> Iterator[None]:
-    """Let `import NAME` find the given modules until the block ends."""
-    before = {name: sys.modules.get(name) for name in modules}
-    sys.modules.update(modules)
-    try:
-        yield
-    finally:
-        for name, module in before.items():
-            if module is None:
-                sys.modules.pop(name, None)
-            else:
-                sys.modules[name] = module
 
 
 def module(name: str, **members: object) -> types.ModuleType:

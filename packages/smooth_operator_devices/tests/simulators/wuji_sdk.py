@@ -305,7 +305,7 @@ class WujiHand2:
 
 
 def wuji_modules(*hands: Hand) -> dict[str, types.ModuleType]:
-    """The module of the stand-in, for `installed`, with the given hands on the network."""
+    """The module of the stand-in, with the given hands on the network."""
 
     class SdkManager:
         @staticmethod

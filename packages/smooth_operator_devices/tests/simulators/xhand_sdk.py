@@ -148,7 +148,7 @@ class XHand:
 
 
 def xhand_modules(*hands: XHand) -> dict[str, types.ModuleType]:
-    """The modules of the stand-in, for `installed`, with the given hands on their ports."""
+    """The modules of the stand-in, with the given hands on their ports."""
 
     class XHandControl:
         def __init__(self) -> None:
