@@ -171,18 +171,14 @@ def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(second, options
         writer.write(first)
         with pytest.raises(RecordingError, match=said):
             writer.write(robot_clip(1, **second))
+        others = replace(first.commands["left"], joint_names=JOINTS[::-1])
+        wrong = replace(first, key="b", commands={**first.commands, "left": others})
+        with pytest.raises(RecordingError, match="not for the joints of the data set"):
+            writer.write(wrong)
         writer.write(third)
     _, frames, episodes = read(tmp_path / "out")
     assert episodes.num_rows == 2
     assert frames.num_rows == 80
-
-
-def test_other_joints_are_refused(tmp_path):
-    clip = robot_clip(0)
-    other = replace(clip.commands["left"], joint_names=JOINTS[::-1])
-    second = replace(clip, key="b", commands={**clip.commands, "left": other})
-    with pytest.raises(RecordingError, match="not for the joints of the data set"):
-        write(tmp_path / "out", [clip, second])
 
 
 def test_a_one_handed_first_clip_has_the_requested_columns(tmp_path):

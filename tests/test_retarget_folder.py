@@ -177,7 +177,7 @@ def test_finished_results_are_kept(copy, expected):
 
 @pytest.mark.parametrize(
     "change",
-    [{"seed": 4}, {"frames": ":20"}, {"scale": 0.8}, {"config": FAST.with_alignment(scale=0.8)}],
+    [{"seed": 4}, {"frames": ":20"}, {"config": FAST.with_alignment(scale=0.8)}],
 )
 def test_another_request_replaces_the_results(copy, change, expected):
     recordings, output = copy

@@ -227,19 +227,10 @@ def test_an_attack_is_refused(tmp_path, name):
         use(load(tmp_path, data))
     assert len(str(caught.value)) < 500
     assert not (tmp_path / "ran").exists()
-    if name in ("system", "eval", "numpy", "stack global", "obj"):
-        assert "which is not data" in str(caught.value)
-
-
-def test_messages_name_the_refused_class(tmp_path):
-    for data, name in (
-        (pickle.dumps(Evil(os.system, ("true",)), 2), f"{os.system.__module__}.system"),
-        (pickle.dumps(Evil(eval, ("1",)), 4), "builtins.eval"),
-        (b"cchumpy\nx\n(tR.", "chumpy.x"),
-    ):
-        with pytest.raises(RecordingError, match=name) as caught:
-            numbers(load(tmp_path, data))
-        assert caught
+    named = {"system": f"{os.system.__module__}.system", "eval": "builtins.eval"}
+    named |= {"numpy": "numpy.load", "stack global": "os.system", "obj": "os.system"}
+    if name in named:
+        assert f"{named[name]!r}, which is not data" in str(caught.value)
 
 
 def test_the_reader_imports_nothing_that_a_file_names(tmp_path, monkeypatch):
