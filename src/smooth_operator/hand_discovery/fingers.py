@@ -21,7 +21,6 @@ from smooth_operator.hands.penetration import parts_above
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
 _PARALLEL: Final = 0.8  # least cosine of two axes that bend a finger in one plane
-_STEPS: Final = 9
 _BENDS: Final = 0.05  # least difference of the two ways to fold, over the finger's length
 _AGREE: Final = 0.0  # least cosine of a finger's closing direction to that of the others
 _SKEW: Final = 0.4  # cosine below which a finger closes sideways
@@ -75,7 +74,7 @@ def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes |
         if name == "thumb" or name not in sound:
             continue
         bend = _Bend(hand, i)
-        straight = bend.straightened()
+        straight = hand.straight_pose.q
         base, tip = bend.ends(straight)
         length = float(np.linalg.norm(tip - base))
         plus, minus = bend.folded(straight, 1), bend.folded(straight, -1)
@@ -123,35 +122,17 @@ class _Bend:
                 for k in np.flatnonzero(weights):
                     self._drives[int(k)] = self._drives.get(int(k), 0.0) + along * weights[k]
 
-    def ends(self, q: np.ndarray) -> Float[np.ndarray, "2 *batch 3"]:
-        """Base and tip in one or more poses, palm frame [m]."""
-        points = self.hand.landmark_positions(q)
-        return np.stack([points[..., end, :] for end in self._ends])
-
-    def straightened(self) -> Float[np.ndarray, " m"]:
-        """The pose of the flexion joints in which the tip is farthest from the base."""
-        best = self.hand.neutral.copy()
-        for _ in range(2):
-            for k in self._drives:
-                low, high = self.hand.limits[k].tolist()
-                trials = np.repeat(best[None], _STEPS + 1, axis=0)
-                trials[1:, k] = np.linspace(low, high, _STEPS)
-                # Keep the pose unless another is better by more than rounding.
-                reach = self._reach(trials)
-                reach[0] += 1e-6
-                best = trials[int(np.argmax(reach))]
-        return best
+    def ends(self, q: np.ndarray) -> Float[np.ndarray, "2 3"]:
+        """Base and tip in a pose, palm frame [m]."""
+        return self.hand.landmark_positions(q)[self._ends]
 
     def folded(self, straight: np.ndarray, sense: int) -> float:
         """Distance of base and tip with all flexion joints at their limits in a direction [m]."""
         q = straight.copy()
         for k, turn in self._drives.items():
             q[k] = self.hand.limits[k, int(turn * sense > 0)]
-        return float(self._reach(q))
-
-    def _reach(self, q: np.ndarray) -> Float[np.ndarray, "*batch"]:
         base, tip = self.ends(q)
-        return np.asarray(np.linalg.norm(tip - base, axis=-1))
+        return float(np.linalg.norm(tip - base))
 
 
 def check_flexion(axes: FlexionAxes | None) -> Check:

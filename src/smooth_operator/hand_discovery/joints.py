@@ -91,8 +91,8 @@ def check_motion(samples: Samples) -> Check:
     least = min(moved, key=lambda name: moved[name])
     text = f"each joint moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
     idle = [name for name, distance in moved.items() if distance < _STILL]
-    on_fingers = _on_fingers(hand)
-    dead = [name for name in idle if name in on_fingers]
+    owner = owners(hand)
+    dead = [name for name in idle if owner[hand.model.joint(name).bodyid[0]] != PALM]
     check = partial(Check, "joints used", figures=figures)
     if dead:
         return check(
@@ -199,21 +199,6 @@ def check_shapes(samples: Samples) -> Check:
 
 def _unit(slides: np.ndarray) -> str:
     return "m" if slides.all() else "rad or m" if slides.any() else "rad"
-
-
-def _on_fingers(hand: Hand) -> set[str]:
-    """Joints between the palm and a fingertip, and those beyond it on the same finger."""
-    model, palm = hand.model, hand.model.body(hand.spec.palm).id
-    fingers: set[int] = set()
-    for finger in hand.spec.fingers:
-        body = int(model.body(finger.tip.body).id)
-        while body not in (palm, 0):
-            fingers.add(body)
-            body = int(model.body_parentid[body])
-    for body in range(1, model.nbody):  # parents come first
-        if model.body_parentid[body] in fingers:
-            fingers.add(body)
-    return {model.joint(j).name for j in range(model.njnt) if model.jnt_bodyid[j] in fingers}
 
 
 def _list(names: list[str]) -> str:
