@@ -9,11 +9,7 @@ import pytest
 
 from smooth_operator import SyntheticOperator, load_hand
 from smooth_operator.calibration.estimate import Calibration, calibrate
-from smooth_operator.calibration.operator_file import (
-    OperatorProfile,
-    read_operator,
-    write_operator,
-)
+from smooth_operator.calibration.operator_file import OperatorProfile, read_operator, write_operator
 from smooth_operator.calibration.segments import PROMPTS, Prompt
 from smooth_operator.cli import main
 from smooth_operator.datasets.retargeting import Recipe

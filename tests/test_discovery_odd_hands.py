@@ -29,12 +29,7 @@ def check_use(found: Discovery, model: Model) -> None:
 
 @pytest.mark.parametrize(("side", "seed"), [("right", 0), ("left", 1)])
 @pytest.mark.parametrize(
-    "draw",
-    [
-        odd_hands.curled_at_zero,
-        odd_hands.six_joints_a_finger,
-        odd_hands.prosthesis,
-    ],
+    "draw", [odd_hands.curled_at_zero, odd_hands.six_joints_a_finger, odd_hands.prosthesis]
 )
 def test_a_design_of_its_own(tmp_path, draw, seed, side):
     model = draw().model(side, seed)
@@ -108,9 +103,7 @@ def test_bars_of_a_linkage_are_no_fingers_and_cost_none(tmp_path, draw, seed, si
 def test_a_chain_that_was_left_out_is_a_finger_if_it_is_named(tmp_path):
     model = odd_hands.four_bar_gripper().model("right", 0)
     named = found_in(
-        tmp_path,
-        urdf(model.parts),
-        overrules=Overrules(thumb="t0", fingers=(("pinky", "bar_t0"),)),
+        tmp_path, urdf(model.parts), overrules=Overrules(thumb="t0", fingers=(("pinky", "bar_t0"),))
     )
     assert [f.tip_body for f in named.fingers if f.name == "pinky"] == ["bar_t0"]
 

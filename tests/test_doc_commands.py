@@ -28,10 +28,7 @@ from smooth_operator.teleop.components import SINKS, SOURCES, build_sink, build_
 
 _BLOCK: Final = re.compile(r"^(?P<fence> *`{3,})bash\n(?P<code>.*?)^(?P=fence) *$", re.M | re.S)
 _COMMAND: Final = re.compile(r"^.*?(?<![\w-])smooth-operator ((?:.*\\\n)*.*)$", re.M)
-_SHELL: Final = {
-    "$((SLURM_ARRAY_TASK_ID + 1))/64": "1/1",
-    "$SLURM_CPUS_PER_TASK": "2",
-}
+_SHELL: Final = {"$((SLURM_ARRAY_TASK_ID + 1))/64": "1/1", "$SLURM_CPUS_PER_TASK": "2"}
 """What the shell of a job puts in place of an expression."""
 
 
@@ -166,12 +163,7 @@ USERS = [
     for page in LINES
     if page == README
     or page.relative_to(PROJECT).parts[:2]
-    in {
-        ("docs", "how-to"),
-        ("docs", "tutorials"),
-        ("docs", "robots"),
-        ("docs", "reference"),
-    }
+    in {("docs", "how-to"), ("docs", "tutorials"), ("docs", "robots"), ("docs", "reference")}
 ]
 QUICK = ("docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""

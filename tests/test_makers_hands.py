@@ -65,10 +65,7 @@ def test_another_model_is_used_with_a_warning(run: Run, clone):
             "git clone https://example.org/acme/models\n  git -C models checkout c0ffee\n  ",
         ),
         (["acme", "--from", "hands"], r"no urdf/hand.urdf in hands; expected a clone"),
-        (
-            ["acme", "--side", "left"],
-            "the maker of acme has published no model of the left hand",
-        ),
+        (["acme", "--side", "left"], "the maker of acme has published no model of the left hand"),
         (["models/urdf/hand.urdf", "--from", "models"], r"--from is for .*acme\), not for"),
     ],
 )

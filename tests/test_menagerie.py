@@ -16,11 +16,7 @@ from smooth_operator.cli.page import hand_to_draw
 from smooth_operator.errors import HandModelError, MissingExtraError
 from smooth_operator.extras import install_command
 from smooth_operator.formats.commands import write_commands
-from smooth_operator.hand_files.vendor_model import (
-    hand_with_meshes,
-    has_meshes,
-    menagerie_file,
-)
+from smooth_operator.hand_files.vendor_model import hand_with_meshes, has_meshes, menagerie_file
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.registry import MODELS, load_hand
 from smooth_operator.synthetic import SyntheticOperator

@@ -131,10 +131,7 @@ def print_comparison(comparison: Comparison) -> None:
     notes = sorted({note for cell in comparison.cells for note in cell.notes})
     if notes:
         console.print(Text(f"note: {'; '.join(notes)}"), soft_wrap=True)
-    for title, keys in (
-        ("only here", comparison.only_here),
-        ("only there", comparison.only_there),
-    ):
+    for title, keys in (("only here", comparison.only_here), ("only there", comparison.only_there)):
         named = "; ".join(" ".join(key) for key in keys[:_MOST_NAMED])
         more = f" and {len(keys) - _MOST_NAMED} more" if len(keys) > _MOST_NAMED else ""
         if keys:

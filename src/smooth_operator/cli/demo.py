@@ -114,11 +114,7 @@ _FOLLOWING: Final = (
 
 
 def _write(
-    folder: Path,
-    todo: Plan,
-    outcome: Outcome,
-    metrics: dict[str, Any],
-    config: dict[str, Any],
+    folder: Path, todo: Plan, outcome: Outcome, metrics: dict[str, Any], config: dict[str, Any]
 ) -> None:
     from smooth_operator.atomic_files import write_json
     from smooth_operator.benchmark.figures import save_plots

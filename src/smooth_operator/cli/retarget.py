@@ -234,10 +234,7 @@ def retarget_folder(options: Retarget, folder: Path) -> None:
     request = _request(options)
     make_shown(
         MirrorRequest(
-            sources=(str(folder),),
-            output=output,
-            workers=options.workers,
-            cluster=options.cluster,
+            sources=(str(folder),), output=output, workers=options.workers, cluster=options.cluster
         ),
         resolved=request,
         again=options.overwrite,

@@ -314,11 +314,7 @@ _STILL: Final = 1e-4  # travel up to which a base lies on its joints' axes, up t
 
 
 def fix_bases(
-    skeleton: Skeleton,
-    palm: int,
-    fingers: tuple[FingerSpec, ...],
-    reach: Reach,
-    neutral: Placement,
+    skeleton: Skeleton, palm: int, fingers: tuple[FingerSpec, ...], reach: Reach, neutral: Placement
 ) -> tuple[tuple[FingerSpec, ...], dict[str, float]]:
     """Fixes finger bases that joints move to the palm, at their positions in the neutral pose.
 

@@ -250,10 +250,7 @@ class Thumb:
 
 
 def find_thumb(
-    chains: tuple[Chain, ...],
-    bends: tuple[Bending, ...],
-    reach: Reach,
-    labels: list[str | None],
+    chains: tuple[Chain, ...], bends: tuple[Bending, ...], reach: Reach, labels: list[str | None]
 ) -> Thumb:
     """Finds the thumb by its opposition to the others, its closing direction and its base.
 

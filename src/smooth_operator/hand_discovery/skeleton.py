@@ -35,10 +35,7 @@ _FINGER_WORDS: Final[dict[str, tuple[str, ...]]] = {
 }
 _FULL_TURN: Final = 2 * np.pi - 0.01  # least range of a joint that nothing drives [rad]
 _PARTS: Final = "(j|a|tip|base|hub|knuckle|proximal|middle|medial|distal|metacarpal)"
-_SIDE_WORDS: Final[dict[Side, tuple[str, ...]]] = {
-    "right": ("right", "rh"),
-    "left": ("left", "lh"),
-}
+_SIDE_WORDS: Final[dict[Side, tuple[str, ...]]] = {"right": ("right", "rh"), "left": ("left", "lh")}
 
 
 def words(name: str) -> tuple[str, ...]:

@@ -95,11 +95,7 @@ def series(name: str, label: str = "") -> str:
     return f"series|{name.replace('|', ' ')}|{label}"
 
 
-def name_points(
-    ax: Axes,
-    points: Mapping[str, tuple[float, float]],
-    size: float = 9.0,
-) -> None:
+def name_points(ax: Axes, points: Mapping[str, tuple[float, float]], size: float = 9.0) -> None:
     """Labels each point where there is room. Call it only when the axis limits and the layout no
     longer change.
 
