@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_stand_ins import with_lost_meshes
 
-from smooth_operator import LANDMARKS, Hand, evaluate, load_hand
+from smooth_operator import LANDMARKS, Hand, load_hand
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.penetration import penetration_depths
@@ -54,17 +54,6 @@ def test_positions_are_mujocos_in_the_palm_frame(side):
             np.testing.assert_array_equal(trace.robot_landmarks[i, k], trace.robot_tips[i, f])
     np.testing.assert_array_equal(trace.robot_landmarks[:, 0], [trace.robot_wrist] * len(trace))
     np.testing.assert_array_equal(trace.human, align_recording(recording, hand))
-
-
-def test_everything_that_can_be_measured_is():
-    recording, commands, hand = run("left")
-    figures = evaluate(assemble_trace(recording, commands, hand, reach_samples=2000))
-    assert isinstance(figures["workspace_utilisation"], float)
-    collision = figures["self_collision"]
-    assert isinstance(collision, dict)
-    assert None not in collision.values()
-    paper = evaluate(assemble_trace(recording, commands, hand, reach_samples=0), "paper")
-    assert paper["human_fit"] == "robot pose"
 
 
 def test_commands_of_other_frames_or_joints_are_refused():

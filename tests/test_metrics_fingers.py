@@ -106,6 +106,8 @@ def test_a_hand_that_does_what_the_human_does_is_perfect(name, fingers, side):
     assert tuple(result["pinch_touch_share_per_finger"]) == hand.fingers[1:]
     assert tuple(result["workspace_utilisation_per_finger"]) == hand.fingers
     assert None not in result["workspace_utilisation_per_finger"].values()
+    assert None not in result["self_collision"].values()
+    assert evaluate(trace, "paper")["human_fit"] == "robot pose"
 
 
 @pytest.mark.parametrize(("name", "fingers"), HANDS)

@@ -225,21 +225,19 @@ class Job(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class JobResult(Generic[T]):
-    """The result of a job, and whether it was already stored.
+    """The result of a job.
 
     Attributes:
         job: the job.
         value: its result; None after a failure.
         error: reason of the failure; None without one.
         seconds: time of the computation [s]; 0 for a stored result.
-        fresh: True for a result that was computed now.
     """
 
     job: Job[T]
     value: Any | None
     error: str | None = None
     seconds: float = 0.0
-    fresh: bool = False
 
 
 def find_results(
@@ -287,7 +285,7 @@ def compute_results(
             stored = value(job, result)
             if stored is not None:
                 cache.keep(job.name, job.key, job.code, stored)
-            yield JobResult(job, stored, result.error, result.seconds, fresh=True)
+            yield JobResult(job, stored, result.error, result.seconds)
     finally:
         close = getattr(results, "close", None)
         if close is not None:

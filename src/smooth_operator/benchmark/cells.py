@@ -18,8 +18,7 @@ from smooth_operator.hands.registry import hand_names, known_hands, load_hand
 from smooth_operator.metrics.table import Definition, plugin_metrics
 from smooth_operator.planning import CODE_OF_COMMANDS, Plan, content_of
 from smooth_operator.plugins import is_target
-from smooth_operator.result_cache import code_digest, content_digest, key_digest
-from smooth_operator.result_cache import outside_code as outside_code
+from smooth_operator.result_cache import code_digest, content_digest, key_digest, outside_code
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import PRESETS, loadable_presets

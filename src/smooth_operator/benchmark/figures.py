@@ -81,12 +81,6 @@ class Panel:
     edges: tuple[tuple[int, int], ...] = ()
 
     @property
-    def title(self) -> str:
-        """Human-readable title."""
-        recording, hand, side = self.key
-        return f"{recording} on {hand} {side}"
-
-    @property
     def tips(self) -> list[int]:
         """Indices of the fingertip landmarks that the robot has, thumb first."""
         return [TIPS[FINGERS.index(finger)] for finger in self.hand.fingers]

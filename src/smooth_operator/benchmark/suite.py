@@ -193,14 +193,12 @@ class Finished:
         measured: measurements without latency; None if the cell failed.
         reason: reason of a failure; None without a failure.
         latency: latency; None if it was not requested or the cell failed.
-        fresh: True if this run measured the cell.
     """
 
     cell: Cell
     measured: Measured | None
     reason: str | None
     latency: Latency | None
-    fresh: bool
 
 
 def plan_cells(settings: Settings) -> list[Cell]:
@@ -247,7 +245,6 @@ def run_suite(
     jobs = [store.job(cell) for cell in cells if cell.key not in reasons]
     results, missing = find_results(jobs, store.measured)
     measured: dict[RowKey, Measured] = {r.job.task.key: r.value for r in results}  # type: ignore[misc]
-    before = set(measured)
     _measure_quality(store, missing, measured, reasons, reporter)
     latencies: dict[tuple[str, ...], Latency] = {}
     if settings.latency_frames:
@@ -259,7 +256,6 @@ def run_suite(
             measured.get(cell.key),
             reasons.get(cell.key),
             latencies.get(cell.key),
-            cell.key not in before,
         )
         for cell in cells
     ]

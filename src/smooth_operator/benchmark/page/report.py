@@ -80,7 +80,7 @@ def summary_text(rows: Sequence[Row], settings: Settings) -> str:
         lines = [line for line in overall(own) if line.failed is None]
         heads = [" ".join(filter(None, (m.short, m.unit, m.sign))) for m in metrics]
         table = [["method", *heads]]
-        tops = [best(lines, metric) for metric in metrics]
+        tops = _tops(lines, metrics)
         for i, line in enumerate(lines):
             values = [_short(m, line.values.get(m.name)) for m in metrics]
             marked = [f"**{v}**" if i in top else v for v, top in zip(values, tops, strict=True)]
@@ -326,7 +326,7 @@ def _recordings(
         if not good:
             continue
         content: dict[str, Any] = {
-            "title": "{} on {} {}".format(*key),
+            "title": _place(key),
             "lines": lines_of(own),
             "facts": _facts(own[0]),
             "good": good,
