@@ -28,7 +28,7 @@ def record(
         **values: values of other fields.
     """
     hints = get_type_hints(cls)
-    columns = [f for f in fields(cls) if f.init and f.name not in values]  # type: ignore[arg-type]
+    columns = [f for f in fields(cls) if f.name not in values]  # type: ignore[arg-type]
     entries.only(*(f.name for f in columns), *more)
     for f in columns:
         required = f.default is MISSING and f.default_factory is MISSING

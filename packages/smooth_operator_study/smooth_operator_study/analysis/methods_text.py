@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import platform
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from importlib.resources import files
 from typing import Final
 
@@ -68,7 +67,7 @@ def methods_paragraph(analysis: Analysis) -> str:
     template = templates(__package__).get_template("methods.txt.j2")
     text = template.render(
         analysis=analysis,
-        operators=len({str(name) for name in data.trials.operator}),
+        operators=len(data.flow.analysed),
         participants=flow_text(data.flow),
         williams=plan is not None and len(data.orders) == len(balanced_rows(len(plan.conditions))),
         done=done,
@@ -85,16 +84,6 @@ def methods_paragraph(analysis: Analysis) -> str:
         correlated=any("refused" not in entry for entry in analysis.spearman.values()),
         version=__version__,
         python=platform.python_version(),
-        packages=_versions(),
+        packages={name: version(name) for name in ("numpy", "scipy", "statsmodels")},
     )
     return " ".join(text.split())
-
-
-def _versions() -> Mapping[str, str]:
-    versions = {}
-    for name in ("numpy", "scipy", "statsmodels"):
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return versions

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,8 +16,6 @@ import pandas as pd
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator_study.analysis.results import OUTCOMES
 from smooth_operator_study.data.rows import Flow, StudyData
-
-FLOW_COLUMNS: Final = ("step", "retargeter", "count", "operators", "reason")
 
 
 def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> StudyData:
@@ -60,21 +58,19 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
 
 
 def flow_rows(flow: Flow) -> list[dict[str, Any]]:
-    """Returns the flow as rows of ``FLOW_COLUMNS``."""
+    """Returns the flow as rows: ``step``, ``retargeter``, ``count``, ``operators``, ``reason``."""
     rows: list[dict[str, Any]] = []
 
     def add(step: str, count: int, who: str = "", reason: str = "", retargeter: str = "") -> None:
-        values = (step, retargeter, count, who, reason)
-        rows.append(dict(zip(FLOW_COLUMNS, values, strict=True)))
+        row = {"step": step, "retargeter": retargeter, "count": count, "operators": who}
+        rows.append({**row, "reason": reason})
 
     if flow.planned is not None:
         add("planned", flow.planned)
-    steps: tuple[tuple[str, tuple[str, ...]], ...] = (
-        ("enrolled", flow.enrolled),
-        ("started", flow.started),
-        *((("completed", flow.completed),) if flow.logged else ()),
-    )
-    for step, codes in steps:
+    steps = {"enrolled": flow.enrolled, "started": flow.started}
+    if flow.logged:
+        steps["completed"] = flow.completed
+    for step, codes in steps.items():
         add(step, len(codes), " ".join(codes))
     for code, left in flow.withdrawn.items():
         add(f"withdrawn, data {'kept' if left.keep else 'left out'}", 1, code, left.reason)
@@ -97,18 +93,19 @@ def flow_rows(flow: Flow) -> list[dict[str, Any]]:
 
 def flow_text(flow: Flow) -> str:
     """Describes the flow in one or two sentences."""
-    parts = [f"{len(flow.enrolled)} operators enrolled"] if flow.logged else []
+    parts = []
     if flow.logged:
-        parts.append(f"{len(flow.started)} started")
-        parts.append(f"{len(flow.completed)} completed all blocks")
-    left = [
+        parts.append(
+            f"{len(flow.enrolled)} operators enrolled, {len(flow.started)} started, "
+            f"{len(flow.completed)} completed all blocks"
+        )
+    parts += [
         f"{code} withdrew ({f'{one.reason}, ' * bool(one.reason)}"
         f"data {'kept' if one.keep else 'excluded'})"
         for code, one in flow.withdrawn.items()
     ]
-    left += [f"{code} was excluded ({reason})" for code, reason in flow.excluded.items()]
-    text = "; ".join([*([", ".join(parts)] if parts else []), *left])
-    return f"{text}; {len(flow.analysed)} were analysed." if text else ""
+    parts += [f"{code} was excluded ({reason})" for code, reason in flow.excluded.items()]
+    return "; ".join([*parts, f"{len(flow.analysed)} were analysed."]) if parts else ""
 
 
 def operator_means(data: StudyData) -> pd.DataFrame:

@@ -22,11 +22,6 @@ from smooth_operator_study.analysis.report.figures import FIGURES
 from smooth_operator_study.analysis.report.tables import NAMES, conclusion
 from smooth_operator_study.analysis.results import ScopeResult, plain
 
-RESULTS: Final = "results.json"
-METHODS: Final = "methods.txt"
-SCRIPT: Final = "analysis.R"
-TRIALS: Final = "rows_trials.csv"
-TLX: Final = "rows_tlx.csv"
 _TRIALS: Final = (
     "operator",
     "task",
@@ -44,6 +39,7 @@ _FAMILIES: Final = {
     "emm": "retargeter",
     "dunnett": "retargeter",
     "pairs": "pair",
+    "separated": "retargeter",
 }
 """Tables of a scope, and the column with the names of their rows."""
 
@@ -55,39 +51,31 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
         report: whether to draw figures and write the page, which takes longest.
 
     Returns:
-        Names of the files, the results first.
+        Names of the files, the results first. A table without rows is not written; an older one is
+        removed.
     """
-    with atomic_write(folder / RESULTS) as file:
-        text = json.dumps(analysis.to_json(), indent=1, allow_nan=False, ensure_ascii=False)
-        file.write(text.encode() + b"\n")
-    text = methods_paragraph(analysis)
-    works = "\n".join(f"[{c.key}] {c.reference}" for c in cited(text))
-    with atomic_write(folder / METHODS) as file:
-        file.write(f"{text}\n\n{works}\n".encode())
-    written = [RESULTS, *write_tables(analysis, folder), METHODS]
-    written += write_r_script(analysis, folder)
-    if report:
-        written.append(write_report(analysis, folder).name)
-    return written
-
-
-def write_tables(analysis: Analysis, folder: Path) -> list[str]:
-    """Writes the CSV tables.
-
-    Returns:
-        Names of the files. A table without rows is not written; an older one is removed.
-    """
-    written = []
-    for name, rows in _tables(analysis).items():
-        path = folder / f"{name}.csv"
-        if not rows:
-            path.unlink(missing_ok=True)
+    results = json.dumps(analysis.to_json(), indent=1, allow_nan=False, ensure_ascii=False)
+    methods = methods_paragraph(analysis)
+    works = "\n".join(f"[{c.key}] {c.reference}" for c in cited(methods))
+    texts = {
+        "results.json": f"{results}\n",
+        **{f"{name}.csv": _csv(rows) for name, rows in _tables(analysis).items()},
+        "methods.txt": f"{methods}\n\n{works}\n",
+        **_r_texts(analysis),
+    }
+    for name, text in texts.items():
+        if text is None:
+            (folder / name).unlink(missing_ok=True)
             continue
-        columns = list(dict.fromkeys(column for row in rows for column in row))
-        with atomic_write(path) as file:
-            file.write(csv_text(columns, rows).encode())
-        written.append(path.name)
-    return written
+        with atomic_write(folder / name) as file:
+            file.write(text.encode())
+    written = [name for name, text in texts.items() if text is not None]
+    return [*written, write_report(analysis, folder).name] if report else written
+
+
+def _csv(rows: list[dict[str, Any]]) -> str | None:
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    return csv_text(columns, rows) if rows else None
 
 
 def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
@@ -98,11 +86,6 @@ def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
             for where, result in _scopes(analysis)
             for name, entry in getattr(result, family).items()
         ]
-    tables["separated"] = [
-        {**where, "retargeter": name, **plain(one)}
-        for where, result in _scopes(analysis)
-        for name, one in result.separated.items()
-    ]
     tables["warnings"] = [
         {**where, "warning": text}
         for where, result in _scopes(analysis)
@@ -143,62 +126,34 @@ def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def _named(numbers: Mapping[str, float]) -> str:
-    """Formats the elements of a named vector in R."""
-    return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
-
-
-def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
-    """Writes ``analysis.R``, which fits the same models in R, and the rows that it reads.
-
-    Args:
-        folder: folder with the tables of the analysis.
-
-    Returns:
-        Names of the files. A table that the study does not have is not written; an older one is
-        removed.
-    """
+def _r_texts(analysis: Analysis) -> dict[str, str | None]:
+    """``analysis.R``, which fits the same models in R, and the rows that it reads."""
     data, table = analysis.data, analysis.data.questionnaires
-    texts = {
-        SCRIPT: files("smooth_operator_study.analysis")
-        .joinpath(SCRIPT)
-        .read_text("utf-8")
-        .replace("@BASELINE@", json.dumps(analysis.baseline))
-        .replace("@MARGINS@", _named(data.plan.margins if data.plan else {})),
-        TRIALS: csv_text(
-            _TRIALS,
-            plain(
-                data.trials.assign(
-                    success=data.trials.success.astype(int), time_s=data.trials.time
-                ).to_dict("records")
-            ),
-        ),
-        TLX: None if table is None else csv_text(_TLX, plain(table.to_dict("records"))),
+    margins = (data.plan.margins if data.plan else {}).items()
+    named = ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in margins)
+    script = files("smooth_operator_study.analysis").joinpath("analysis.R").read_text("utf-8")
+    script = script.replace("@BASELINE@", json.dumps(analysis.baseline))
+    trials = data.trials.assign(success=data.trials.success.astype(int), time_s=data.trials.time)
+    return {
+        "analysis.R": script.replace("@MARGINS@", named),
+        "rows_trials.csv": csv_text(_TRIALS, plain(trials.to_dict("records"))),
+        "rows_tlx.csv": None if table is None else csv_text(_TLX, plain(table.to_dict("records"))),
     }
-    for name, text in texts.items():
-        if text is None:
-            (folder / name).unlink(missing_ok=True)
-            continue
-        with atomic_write(folder / name) as file:
-            file.write(text.encode("utf-8"))
-    return [name for name, text in texts.items() if text is not None]
 
 
-REPORT: Final = "report.html"
-FOLDER: Final = "figures"
-_SECTIONS: Final = (
-    ("Success", "success", "success"),
-    ("Time", "time", "time"),
-    ("Workload", "workload", "workload"),
-    ("Learning", "learning", "learning"),
-    ("Further analyses", "readings", "readings"),
-    ("Simulation", "simulation", "simulation"),
-    ("Participants", "participants", "participants"),
-    ("Checks", "checks", "checks"),
-    ("Methods", "methods", "methods"),
-    ("Appendix: as published", "published", "published"),
-)
-"""Title, anchor and macro of each section."""
+_SECTIONS: Final = {
+    "success": "Success",
+    "time": "Time",
+    "workload": "Workload",
+    "learning": "Learning",
+    "readings": "Further analyses",
+    "simulation": "Simulation",
+    "participants": "Participants",
+    "checks": "Checks",
+    "methods": "Methods",
+    "published": "Appendix: as published",
+}
+"""Macro of each section, which is also its anchor, and its title."""
 
 
 def write_report(analysis: Analysis, folder: Path) -> Path:
@@ -207,7 +162,7 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
     Returns:
         The page. It needs no other file, and nothing from the network.
     """
-    plots, colors = Plots(folder / FOLDER), colors_of(analysis.retargeters)
+    plots, colors = Plots(folder / "figures"), colors_of(analysis.retargeters)
 
     def figure(stem: str, caption: str) -> Html:
         with styled():
@@ -224,20 +179,20 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
             "figure": figure,
             "flow": analysis.data.flow,
             "names": NAMES,
-            "operators": len({str(name) for name in analysis.data.trials.operator}),
+            "operators": len(analysis.data.flow.analysed),
             "tables": tables,
             "text": text,
             "works": cited(text),
         }
     )
     return write_report_page(
-        folder / REPORT,
+        folder / "report.html",
         "User study",
         Html(str(macros.header())),  # type: ignore[attr-defined]
         [
-            (title, anchor, Html(str(getattr(macros, macro)())))
-            for title, anchor, macro in _SECTIONS
-            if anchor != "simulation" or analysis.spearman
+            (title, name, Html(str(getattr(macros, name)())))
+            for name, title in _SECTIONS.items()
+            if name != "simulation" or analysis.spearman
         ],
         "Made by smooth-operator study analyze. Numbers: results.json and the CSV tables; "
         "plots as files: figures/.",

@@ -114,19 +114,7 @@ def _friedman(sums: Float[np.ndarray, "*k r"], operators: int) -> Float[np.ndarr
 def full_success(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult:
     """Analyses success as a score of 1, by the model of success in mode small-sample."""
     frame = frame_of(trials.assign(value=(trials.score >= 1).astype(float)), scope, baseline)
-    blank = ScopeResult(n=len(frame), operators=len(frame.operators), observed=observed(frame))
-    try:
-        blank = replace(blank, separated=separated(frame))
-        compared = fit_with("success", frame).compare()
-    except StudyError as error:
-        return replace(blank, refused=str(error))
-    return replace(
-        blank,
-        emm=compared.emm,
-        dunnett=compared.dunnett,
-        pairs=compared.pairs,
-        warnings=compared.warnings,
-    )
+    return _compared("success", frame, observed=observed(frame), separated=separated(frame))
 
 
 def log_time(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult:
@@ -140,22 +128,23 @@ def log_time(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult:
         of the residuals.
     """
     rows = times(trials)
-    frame = frame_of(rows.assign(value=np.log(rows.value)), scope, baseline)
-    blank = ScopeResult(n=len(frame), operators=len(frame.operators))
+    return _compared("time", frame_of(rows.assign(value=np.log(rows.value)), scope, baseline))
+
+
+def _compared(outcome: Outcome, frame: Frame, **facts: Any) -> ScopeResult:
+    result = ScopeResult(n=len(frame), operators=len(frame.operators), **facts)
     try:
-        fit = fit_with("time", frame)
+        fit = fit_with(outcome, frame)
     except StudyError as error:
-        return replace(blank, refused=str(error))
-    compared = fit.compare()
-    facts = {}
+        return replace(result, refused=str(error))
     if isinstance(fit.model, MixedFit):
-        facts["skewness"] = float(skew(fit.model.residuals))
+        result = replace(result, diagnostics={"skewness": float(skew(fit.model.residuals))})
+    compared = fit.compare()
     return replace(
-        blank,
+        result,
         emm=compared.emm,
         dunnett=compared.dunnett,
         pairs=compared.pairs,
-        diagnostics=facts,
         warnings=compared.warnings,
     )
 
@@ -311,7 +300,6 @@ def read_further(
     """
     trials, baseline = data.trials, retargeters[0]
     margins = data.plan.margins if data.plan else {}
-    rankings = {who: tuple(order) for who, order in data.ranking.items()}
     return Readings(
         full_success={scope: full_success(trials, scope, baseline) for scope in scopes},
         log_time={scope: log_time(trials, scope, baseline) for scope in scopes},
@@ -323,7 +311,7 @@ def read_further(
             for outcome in OUTCOMES
         },
         interaction=interaction,
-        preference=preference(rankings, retargeters, seed=seed) if rankings else None,
+        preference=preference(data.ranking, retargeters, seed=seed) if data.ranking else None,
     )
 
 
@@ -348,13 +336,11 @@ def reading_rows(readings: Readings) -> list[Row]:
     ``where`` is outcome, scope or field, joined by slashes. ``refused`` has the reason in rows
     without figures.
     """
-    return [row for name, content in vars(readings).items() for row in _rows(name, content)]
-
-
-def _rows(reading: str, content: Any) -> Iterator[Row]:
-    if content is None:
-        return
-    yield from _descend(reading, (), plain(content))
+    return [
+        row
+        for name, content in vars(readings).items()
+        for row in _descend(name, (), plain(content))
+    ]
 
 
 def _descend(reading: str, path: tuple[str, ...], content: Any) -> Iterator[Row]:

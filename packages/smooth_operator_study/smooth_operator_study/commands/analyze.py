@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Final
 
 from rich.text import Text
 
@@ -18,9 +17,6 @@ from smooth_operator_study.analysis.report.tables import conclusion
 from smooth_operator_study.analysis.results import MODES
 from smooth_operator_study.commands.options import Analyze
 from smooth_operator_study.data import read_study
-
-SOME_REFUSED: Final = 1
-"""Exit status if some parts of the analysis were refused with a reason."""
 
 
 def analyze_command(options: Analyze) -> None:
@@ -52,7 +48,7 @@ def analyze_command(options: Analyze) -> None:
             "exit status 1: some parts could not be tested; the reasons are printed above "
             "and stored in the results"
         )
-        raise SystemExit(SOME_REFUSED)
+        raise SystemExit(1)
 
 
 def _exclusions(words: Sequence[str]) -> dict[str, str]:

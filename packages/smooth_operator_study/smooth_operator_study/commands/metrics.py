@@ -18,7 +18,6 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.documents import parse_json
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.types import CommandTrajectory
 from smooth_operator_study.commands.options import Metrics
 from smooth_operator_study.data.reading import METRIC_COLUMNS, NAMES
 from smooth_operator_study.data.take_metrics import (
@@ -115,15 +114,8 @@ def read_take(file: Path) -> Take:
         recording = replace(
             recording, **{name: a[frames] for name, a in held.items() if a is not None}
         )
-    answers = CommandTrajectory(
-        log.commands.joint_positions[commands],
-        log.commands.joint_names,
-        stamps,
-        log.commands.latency_ms[commands],
-        log.commands.status[commands],
-    )
     alignments = [(use.stamp, _alignment(use.config)) for use in log.methods]
-    return Take(recording, answers, hand, begin, alignments)
+    return Take(recording, log.commands[commands], hand, begin, alignments)
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:

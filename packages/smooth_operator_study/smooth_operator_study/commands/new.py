@@ -41,6 +41,7 @@ from smooth_operator_study.design.protocol import (
     Task,
     margins_of,
 )
+from smooth_operator_study.store.study_store import FILE, open_study
 
 PAPER_CONDITIONS: Final = (
     Condition("sbr", preset="paper"),
@@ -51,7 +52,6 @@ PAPER_CONDITIONS: Final = (
 """Conditions of the paper: four methods with the settings of their authors' code."""
 PAPER_RATE_HZ: Final = 30.0
 PAPER_OPERATORS: Final = 18
-_STORE: Final = "study.db"
 
 
 def new_study(options: New) -> None:
@@ -63,14 +63,16 @@ def new_study(options: New) -> None:
             f"there is already a study in {folder}; use --overwrite to replace its plan, or "
             "study enrol to add operators"
         )
-    if file.exists() and (folder / _STORE).exists():
+    if file.exists() and (folder / FILE).exists():
         raise ConfigError(
-            f"the study in {folder} has stored data ({_STORE}), so its plan can't be "
+            f"the study in {folder} has stored data ({FILE}), so its plan can't be "
             "replaced; use another folder"
         )
     if options.from_ is not None:
         plan = read_plan(options.from_)
-        if _has_options(options):
+        others = ("folder", "from_", "overwrite")
+        described = (f for f in fields(options) if f.name not in others)
+        if any(getattr(options, f.name) not in (f.default, []) for f in described):
             raise ConfigError(
                 "--from reads the whole plan from the file; change the plan there, or remove --from"
             )
@@ -86,9 +88,7 @@ def enrol_operator(options: Enrol) -> None:
     """Adds an operator to the plan in the file and in the store."""
     folder = options.study if options.study.is_dir() else options.study.parent
     plan = read_plan(options.study)
-    if (folder / _STORE).exists():  # what is stored decides: the code may be that of one erased
-        from smooth_operator_study.store.study_store import open_study
-
+    if (folder / FILE).exists():  # what is stored decides: the code may be that of one erased
         with open_study(folder, plan) as store:
             plan = plan.enrol(options.operator, options.tasks or None, absent=store.absent())
             store.revise(plan)
@@ -98,16 +98,6 @@ def enrol_operator(options: Enrol) -> None:
     for task in plan.enrolment(options.operator).rows:
         order = " → ".join(b.condition.label for b in plan.blocks(options.operator, task))
         print(printable(f"{options.operator}, task {task}: {order}"))
-
-
-def _has_options(options: New) -> bool:
-    """True if an option describes the study."""
-    others = ("folder", "from_", "overwrite")
-    return any(
-        getattr(options, one.name) not in (one.default, [])
-        for one in fields(options)
-        if one.name not in others
-    )
 
 
 def _protocol(options: New) -> Protocol:
@@ -197,19 +187,14 @@ def _print(plan: Plan) -> None:
 
 
 def _least_p(plan: Plan) -> list[str]:
-    """Prints the smallest p-value of success that the design can reach, pooled and for each task.
+    """Notes on the smallest p-value of success that the design can reach, pooled and by task."""
+    # Imported here, since they take seconds.
+    from smooth_operator_study.analysis.frame import frame_of
+    from smooth_operator_study.analysis.outcomes import least_p
+    from smooth_operator_study.power.simulated_study import planned_data
 
-    Prints nothing if the packages of the analysis are not installed: making a plan does not need
-    them.
-    """
-    try:
-        from smooth_operator_study.analysis.frame import frame_of
-        from smooth_operator_study.analysis.outcomes import least_p
-        from smooth_operator_study.power.simulated_study import planned_data
-    except ModuleNotFoundError:
-        return []
     protocol = plan.protocol
-    if protocol.operators < 2 or len(protocol.conditions) < 2:
+    if protocol.operators < 2:
         return []
     trials = planned_data(plan).trials.assign(value=0.0)
     tasks = [task.name for task in protocol.tasks]

@@ -25,7 +25,7 @@ from smooth_operator_study.design.plan_file import (
     read_plan,
     write_plan_files,
 )
-from smooth_operator_study.store.nasa_tlx import ENGLISH, TlxWords, read_words
+from smooth_operator_study.store.nasa_tlx import ENGLISH, read_words
 from smooth_operator_study.store.study_store import FILE, StudyStore, open_study
 
 
@@ -35,14 +35,15 @@ def run_study(options: Run) -> None:
     folder = _folder(options.study)
     with _listening(options) as listening, _opened(folder) as store:
         port = int(listening.getsockname()[1])
-        auth = auth_for(options.host, store.name)
+        protocol = store.plan.protocol
+        auth = auth_for(options.host, protocol.name)
         links = auth.links(options.host, port)
         service = SessionService(
             store,
             operator=options.operator,
             blind=options.blind,
             teleop=teleop,
-            words=_words(store.plan, folder),
+            words=read_words(folder / language) if (language := protocol.tlx_language) else ENGLISH,
             enrolled=lambda plan: _write_plan(plan, folder),
             changed=lambda: console.changed(),
             report=print_note,
@@ -50,7 +51,7 @@ def run_study(options: Run) -> None:
         console = Console(service, auth, links, local=is_local(options.host))
 
         def ready() -> None:
-            print_note(f"study {store.name!r}, for the experimenter: {links['experimenter']}")
+            print_note(f"study {protocol.name!r}, for the experimenter: {links['experimenter']}")
             print_note(f"for the operator's tablet: {links['operator']}")
             print_note("press Ctrl-C to stop; no data is lost")
             if options.open:
@@ -106,14 +107,6 @@ def _opened(folder: Path) -> StudyStore:
         store.close()
         raise
     return store
-
-
-def _words(plan: Plan, folder: Path) -> TlxWords:
-    """Reads the wording of NASA-TLX for the operators."""
-    file = plan.protocol.tlx_language
-    if not file:
-        return ENGLISH
-    return read_words(folder / file)
 
 
 def _folder(study: str) -> Path:

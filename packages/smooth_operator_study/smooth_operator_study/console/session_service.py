@@ -8,14 +8,16 @@ without a connection) and the ``fields`` of its word.
 
 from __future__ import annotations
 
-import math
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Final, Literal, TypeAlias
+from typing import Annotated, Any, Final, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
 
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator_study.console.page_state import experimenter_view, operator_view
@@ -38,8 +40,6 @@ OTHER: Final = ("choose", "enrol", "switch")
 """Commands that cause no event of the current operator."""
 OPERATOR_COMMANDS: Final = ("answer", "form")
 """Commands of the operator's page; the experimenter's page has all others."""
-_LONGEST_WAIT: Final = 86_400.0
-_TOKEN: Final = range(8, 129)
 
 
 @dataclass(frozen=True)
@@ -55,33 +55,27 @@ class Command:
         waited_s: age of the command [s]; for a score the time since the clock was stopped.
     """
 
-    token: str
+    token: Annotated[str, Meta(min_length=8, max_length=128)]
     do: str
-    operator: str
-    after: int | None
-    fields: Mapping[str, Any]
-    waited_s: float = 0.0
+    operator: str = ""
+    after: int | None = None
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    waited_s: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 0.0
 
 
 def command_of(message: Mapping[str, Any], role: Role) -> Command:
     """Makes a command of a page's message, checked as far as possible without the study."""
-    token, do, operator = message.get("token"), message.get("do"), message.get("operator", "")
-    after, fields = message.get("after"), message.get("fields", {})
-    waited = message.get("waited_s", 0.0)
-    if not isinstance(token, str) or len(token) not in _TOKEN or not token.isprintable():
-        raise StudyError(f"a command needs a token of 8 to 128 characters, not {token!r}")
-    if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
-        raise StudyError(f"no such command: {do!r}; reload the page")
-    if (role == "operator") != (do in OPERATOR_COMMANDS):
-        raise StudyError(f"the {role}'s page is not allowed to do {do!r}")
-    if not isinstance(operator, str) or not isinstance(fields, Mapping):
-        raise StudyError("a command needs an operator and its fields; reload the page")
-    if after is not None and (isinstance(after, bool) or not isinstance(after, int)):
-        raise StudyError(f"after must be the number of an event, not {after!r}")
-    number = isinstance(waited, int | float) and not isinstance(waited, bool)
-    if not number or not math.isfinite(waited) or not 0 <= waited <= _LONGEST_WAIT:
-        raise StudyError(f"waited_s must be 0 to {_LONGEST_WAIT:g} s, not {waited!r}")
-    return Command(token, do, operator, after, dict(fields), float(waited))
+    try:
+        command = msgspec.convert(message, Command)
+    except msgspec.ValidationError as error:
+        raise StudyError(f"this is not a command: {error}; reload the page") from None
+    if not command.token.isprintable():
+        raise StudyError(f"a token must be printable, not {command.token!r}")
+    if command.do not in (*EVENTS, *OTHER):
+        raise StudyError(f"no such command: {command.do!r}; reload the page")
+    if (role == "operator") != (command.do in OPERATOR_COMMANDS):
+        raise StudyError(f"the {role}'s page is not allowed to do {command.do!r}")
+    return command
 
 
 def event_for(
@@ -123,16 +117,12 @@ def _check_reset(line: str, trial: Trial | None) -> None:
 def _amended(values: dict[str, Any], progress: Progress) -> dict[str, Any]:
     """Completes an amendment by the trial's line and time, and by the score of the rubric."""
     task, block, number = (values.get(name) for name in ("task", "block", "trial"))
-    trial = progress.scored_trial(str(task), _whole(block), _whole(number))
+    trial = progress.scored_trial(task, block, number)
     line = str(values.get("line") or trial.line)
     if line != trial.line:
         _check_reset(line, trial)
     time_s = trial.time_s if values.get("time_s") is None else values["time_s"]
     return {**values, "line": line, "score": progress.capped(line, trial), "time_s": time_s}
-
-
-def _whole(value: Any) -> int:
-    return value if isinstance(value, int) else -1
 
 
 def trial_time(

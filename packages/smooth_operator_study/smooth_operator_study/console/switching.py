@@ -17,6 +17,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, TypeAlias
 
+import msgspec
+
 from smooth_operator.errors import (
     RemoteRefusedError,
     SmoothOperatorError,
@@ -55,8 +57,8 @@ class TrialStatus:
         phase: ``ready``, ``waiting`` (for the hand to be clear), ``running`` or ``done``.
         line: line of the rubric that fits so far; final when the trial is done.
         score: score of that line.
-        reason: reason for the line, in a few words.
         resets: number of times that the object was put back.
+        reason: reason for the line, in a few words.
         time_s: time of the trial [s]; None before it is done.
         about: entries that the trial was started with; they name the condition.
     """
@@ -64,9 +66,9 @@ class TrialStatus:
     phase: str
     line: str
     score: float
-    reason: str
     resets: int
-    time_s: float | None
+    reason: str = ""
+    time_s: float | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -453,20 +455,9 @@ def check_rubric(block: Block, task: SimulatedTask) -> None:
 
 def trial_status(answer: object) -> TrialStatus | None:
     """Status of a simulated trial from the answer to ``trial``; None if it has none."""
-    if not isinstance(answer, Mapping):
-        return None
-    time_s, about = answer.get("time_s"), answer.get("about")
     try:
-        return TrialStatus(
-            str(answer["phase"]),
-            str(answer["line"]),
-            float(answer["score"]),
-            str(answer.get("reason", "")),
-            int(answer["resets"]),
-            None if time_s is None else float(time_s),
-            dict(about) if isinstance(about, Mapping) else {},
-        )
-    except (KeyError, TypeError, ValueError):
+        return msgspec.convert(answer, TrialStatus)
+    except msgspec.ValidationError:
         return None
 
 

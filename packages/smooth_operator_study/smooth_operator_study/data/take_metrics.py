@@ -63,16 +63,9 @@ class Take:
         first, last = np.searchsorted(stamps, (start, start + length))
         if last - first < _FEWEST:
             return None
-        commands = replace(
-            self.commands,
-            **{
-                name: getattr(self.commands, name)[first:last]
-                for name in ("joint_positions", "stamps", "latency_ms", "status")
-            },
-        )
         used = [alignment for since, alignment in self.alignments if since <= stamps[first]]
         alignment = used[-1] if used else None
-        recording = self.recording[int(first) : int(last)]
+        recording, commands = self.recording[first:last], self.commands[first:last]
         return assemble_trace(recording, commands, self.hand, alignment, reach_samples=0)
 
 

@@ -57,11 +57,6 @@ class FormField:
         check_name(self.name, "field of a form")
         if not self.label.strip():
             raise StudyError(f"field {self.name!r} of a form needs a label")
-        if self.kind not in KINDS:
-            raise StudyError(
-                f"field {self.name!r}: its kind must be one of {', '.join(KINDS)}, not "
-                f"{self.kind!r}"
-            )
         if (self.kind == "choice") != bool(self.choices) or len(self.choices) == 1:
             raise StudyError(
                 f"field {self.name!r}: a field of kind choice needs at least two choices, "
@@ -98,8 +93,6 @@ class Form:
 
     def __post_init__(self) -> None:
         check_name(self.name, "form")
-        if self.when not in get_args(When):
-            raise StudyError(f"form {self.name!r}: when must be before or after, not {self.when!r}")
         if not self.fields:
             raise StudyError(f"form {self.name!r} needs a field")
         distinct([field.name for field in self.fields], f"fields of form {self.name!r}")

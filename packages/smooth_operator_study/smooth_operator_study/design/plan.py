@@ -112,40 +112,25 @@ def imbalance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> tup
     return max(places) - min(places), max(neighbours) - min(neighbours)
 
 
-COLUMNS: Final = (
-    "operator",
-    "session",
-    "task",
-    "block",
-    "condition",
-    "label",
-    "row",
-    "familiarisation_s",
-    "trials",
-    "first_trial_global",
-    "questionnaires_after",
-)
-
-
 def schedule_csv(plan: Plan) -> str:
     """Returns the schedule as CSV, one row for each block."""
-    rows = (
-        (
-            block.operator,
-            block.session,
-            block.task.name,
-            block.number,
-            block.condition.name,
-            block.condition.label,
-            block.row + 1,
-            f"{plan.protocol.familiarisation_s:g}",
-            block.task.trials,
-            block.trial_global(1),
-            " ".join(map(str, block.questionnaires)),
-        )
+    rows = [
+        {
+            "operator": block.operator,
+            "session": block.session,
+            "task": block.task.name,
+            "block": block.number,
+            "condition": block.condition.name,
+            "label": block.condition.label,
+            "row": block.row + 1,
+            "familiarisation_s": f"{plan.protocol.familiarisation_s:g}",
+            "trials": block.task.trials,
+            "first_trial_global": block.trial_global(1),
+            "questionnaires_after": " ".join(map(str, block.questionnaires)),
+        }
         for block in plan.schedule()
-    )
-    return csv_text(COLUMNS, (dict(zip(COLUMNS, row, strict=True)) for row in rows))
+    ]
+    return csv_text(list(rows[0]) if rows else [], rows)
 
 
 def schedule_table(plan: Plan) -> list[list[str]]:

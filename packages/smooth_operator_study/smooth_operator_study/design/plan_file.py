@@ -199,7 +199,7 @@ def _settings(item: Any, skip: tuple[str, ...] = ()) -> Iterator[str]:
     for f in fields(item):
         value = getattr(item, f.name)
         empty = value is None or value == "" or (value == f.default and f.name not in comments)
-        if empty or not f.init or f.name in skip:
+        if empty or f.name in skip:
             continue
         value = float(value) if str(f.type).startswith("float") else value
         comment = comments.get(f.name, "")

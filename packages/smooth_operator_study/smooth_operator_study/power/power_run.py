@@ -15,16 +15,13 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 from scipy.stats import binomtest
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import StudyError
-from smooth_operator.result_cache import (
-    Job,
-    Note,
-    no_note,
-)
+from smooth_operator.result_cache import Job, Note, no_note
 from smooth_operator_study.analysis.dunnett import quantile
 from smooth_operator_study.analysis.frame import outcome_frames
 from smooth_operator_study.analysis.outcomes import analyze
@@ -41,7 +38,7 @@ from smooth_operator_study.data.rows import StudyData
 from smooth_operator_study.design.plan import make_plan, scaled
 from smooth_operator_study.design.plan_file import plan_of, plan_table
 from smooth_operator_study.design.protocol import ALPHA, Protocol
-from smooth_operator_study.power.simulated_study import Assumptions, Simulator, Spread
+from smooth_operator_study.power.simulated_study import Assumptions, Simulator
 from smooth_operator_study.result_log import ResultLog
 
 if TYPE_CHECKING:
@@ -185,19 +182,11 @@ def _prepared(
 ) -> tuple[Simulator, Assumptions, Protocol, list[str], int]:
     values = json.loads(setting)
     protocol = plan_of(values["plan"], "the plan").protocol
-    truth = _assumptions(values["truth"])
+    truth = msgspec.convert(values["truth"], Assumptions)
     if which == "null":
         truth = truth.null(protocol.baseline)
     simulator = Simulator(make_plan(scaled(protocol, operators)), truth)
     return simulator, truth, protocol, values["scopes"], values["seed"]
-
-
-def _assumptions(values: Mapping[str, Any]) -> Assumptions:
-    spreads = {
-        name: Spread(**values[name]) for name in ("operators", "interaction", "trials", "practice")
-    }
-    tasks = {name: Spread(**spread) for name, spread in values["tasks"].items()}
-    return Assumptions(**{**values, **spreads, "tasks": tasks})
 
 
 def _chunks(settings: PowerSettings) -> Iterator[Chunk]:

@@ -13,7 +13,7 @@ from datetime import datetime
 from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from smooth_operator.errors import StudyError
-from smooth_operator_study.design.forms import Form, When
+from smooth_operator_study.design.forms import When
 from smooth_operator_study.design.plan import Block, Plan
 from smooth_operator_study.design.protocol import Point
 from smooth_operator_study.store.events import (
@@ -41,8 +41,6 @@ from smooth_operator_study.store.events import (
     Withdrawn,
 )
 
-WITHDREW: Final = "the operator withdrew"
-"""Reason of a void trial that was running when its operator withdrew."""
 StepKind: TypeAlias = Literal[
     "form",
     "calibrate",
@@ -320,7 +318,7 @@ class Progress:
         score = trial.block.task.line(line).score
         return min(score, self.plan.protocol.reset_cap) if trial.resets else score
 
-    def scored_trial(self, task: str, block: int, number: int) -> Trial:
+    def scored_trial(self, task: Any, block: Any, number: Any) -> Trial:
         """Finds a trial that was scored and counts."""
         for trial in self.trials:
             if trial.counts and (*trial.block.place, trial.number) == (task, block, number):
@@ -418,7 +416,7 @@ class Progress:
                 self._end_break(at)
             case Withdrawn():
                 if self.running is not None:
-                    self._void(WITHDREW, at)
+                    self._void("the operator withdrew", at)
                 if self.breaks and self.breaks[-1][1] is None:
                     self._end_break(at)
                 self.moving = None
@@ -488,16 +486,12 @@ def _check_due(state: Progress, event: Event, step: Step) -> None:
         more = "; score or void its trial first" if isinstance(event, BlockEnded) else ""
         raise _refusal(state, f"{event.kind!r} is not due; {_message(step)} is{more}")
     if isinstance(event, FormAnswered):
-        form = _form(state.plan, step)
+        form = next(form for form in state.plan.protocol.forms if form.name == step.form)
         if event.form != form.name:
             raise _refusal(state, f"form {event.form!r} is not due; {form.name!r} is")
         form.check(event.answers, state.ranked_labels())
     elif not isinstance(event, BreakEnded) and step.block is not None:
         _check_place(state, event, step, step.block)
-
-
-def _form(plan: Plan, step: Step) -> Form:
-    return next(form for form in plan.protocol.forms if form.name == step.form)
 
 
 def _check_place(state: Progress, event: Any, step: Step, block: Block) -> None:

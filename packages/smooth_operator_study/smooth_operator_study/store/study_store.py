@@ -20,7 +20,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from sqlite3 import Connection, Row
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from smooth_operator.errors import DocumentError, StudyError
 from smooth_operator.io.documents import parse_json
@@ -60,10 +60,6 @@ _TABLES: Final = (
     BEGIN SELECT RAISE(ABORT, 'plans are append-only'); END""",
     f"PRAGMA user_version = {FORMAT}",
 )
-
-
-AUTHORS: Final = ("experimenter", "operator", "system")
-"""Possible authors of an event."""
 
 
 class Clock:
@@ -192,11 +188,6 @@ class StudyStore:
             return self._newest_plan(connection)
 
     @property
-    def name(self) -> str:
-        """Name of the study."""
-        return self.plan.protocol.name
-
-    @property
     def erased(self) -> tuple[str, ...]:
         """Operators whose data was deleted; their codes are not used again."""
         query = "SELECT operator FROM participants WHERE erased_at IS NOT NULL ORDER BY operator"
@@ -217,21 +208,18 @@ class StudyStore:
         operator: str,
         event: Event,
         *,
-        author: str = "experimenter",
+        author: Literal["experimenter", "operator", "system"] = "experimenter",
         token: str | None = None,
     ) -> Record:
         """Writes an event.
 
         Args:
-            author: one of ``AUTHORS``.
             token: unique text of this event. An event that is sent again with its token, because
                 the answer got lost, is not written twice.
 
         Returns:
             The record that is now on disk.
         """
-        if author not in AUTHORS:
-            raise StudyError(f"an author is one of {', '.join(AUTHORS)}, not {author!r}")
         event = event_of(event.kind, payload(event))  # as strict as reading it back will be
         with self.writing() as connection:
             self._enter(connection, operator)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure  # not pyplot: no global state, no display
 from scipy.special import ndtri
 
 from smooth_operator.errors import StudyError
@@ -18,17 +20,9 @@ from smooth_operator_study.analysis.results import MODES, POOLED, Outcome
 from smooth_operator_study.data.rows import times
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 Colors = Mapping[str, str]
 """Retargeter -> colour."""
-_OUTCOMES: Final = {
-    "success": "success",
-    "time_s": "time",
-    "raw_tlx": "workload",
-}
+_OUTCOMES: Final = {"success": "success", "time_s": "time", "raw_tlx": "workload"}
 _LABELS: Final[dict[Outcome, str]] = {
     "success": "success rate [%]",
     "time": "completion time [s]",
@@ -51,8 +45,6 @@ def _panels(
     **options: Any,
 ) -> tuple[Figure, list[Axes]]:
     """Makes a figure with axes for each scope, in rows of ``across``; sizes in inches."""
-    from matplotlib.figure import Figure  # not pyplot: no global state, no display
-
     columns = min(len(scopes), across)
     rows = -(-len(scopes) // columns)
     width = max(size[0] * columns + more[0], _NARROWEST)
@@ -113,19 +105,9 @@ def success_figure(analysis: Analysis, colors: Colors) -> Figure:
                     elinewidth=2.2,
                     zorder=3,
                 )
-            elif (
-                name in result.observed
-            ):  # refused: the observed rate, hollow and without an interval
-                rate = 100 * result.observed[name]["mean"]
-                axes.plot(
-                    j,
-                    rate,
-                    "o",
-                    markerfacecolor="none",
-                    markeredgecolor=colors[name],
-                    markersize=7,
-                    zorder=3,
-                )
+            elif name in result.observed:  # refused: the observed rate, hollow, without an interval
+                rate, color = 100 * result.observed[name]["mean"], colors[name]
+                axes.plot(j, rate, "o", color=color, fillstyle="none", markersize=7, zorder=3)
         _name_ticks(axes, names, rotation=35, ha="right")
         axes.set_xlim(-0.5, len(names) - 0.5)
         axes.set_ylim(-3, 103)
@@ -203,8 +185,6 @@ def correlation_figure(analysis: Analysis, colors: Colors) -> Figure | None:
     correlated = {tuple(key.split("~")): e for key, e in analysis.spearman.items() if "rho" in e}
     if not correlated:
         return None
-    from matplotlib.figure import Figure
-
     metrics, outcomes = (list(dict.fromkeys(names)) for names in zip(*correlated, strict=True))
     values = np.full((len(metrics), len(outcomes)), np.nan)
     figure = Figure(
@@ -225,7 +205,7 @@ def correlation_figure(analysis: Analysis, colors: Colors) -> Figure | None:
             color="#ffffff" if abs(entry["rho"]) > 0.6 else "#111111",
         )
     image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
-    axes.set_xticks(range(len(outcomes)), [_OUTCOMES.get(name, name) for name in outcomes])
+    axes.set_xticks(range(len(outcomes)), [_OUTCOMES[name] for name in outcomes])
     axes.set_yticks(range(len(metrics)), metrics)
     axes.grid(visible=False)
     figure.colorbar(image, ax=axes, label="Spearman's ρ", shrink=0.9)
@@ -234,8 +214,6 @@ def correlation_figure(analysis: Analysis, colors: Colors) -> Figure | None:
 
 def learning_figure(analysis: Analysis, colors: Colors) -> Figure:
     """Draws time and success over the count of trials: means of bins, and the fitted slope."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8.4, 5.4), layout="constrained")
     grid = figure.subplots(2, 2)
     rows = analysis.data.outcomes()
@@ -296,8 +274,6 @@ def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
             panels.append((_FITTED[outcome], frame, fit.residuals))
     if not panels:
         return None
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8.4, 2.9 * len(panels)), layout="constrained")
     grid = figure.subplots(len(panels), 2, squeeze=False)
     for (left, right), (title, frame, residuals) in zip(grid, panels, strict=True):
@@ -330,7 +306,7 @@ def _quantiles(axes: Axes, residuals: np.ndarray) -> None:
     axes.set_ylabel("residual / SD")
 
 
-FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], "Figure | None"]]] = {
+FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], Figure | None]]] = {
     "success": success_figure,
     "time": time_figure,
     "tlx-items": item_figure,

@@ -32,10 +32,10 @@ DIGITS: Final[dict[Outcome, tuple[float, int, str]]] = {
     "tlx": (1.0, 2, "points"),
 }
 """Outcome -> factor, decimals and unit of its numbers."""
-_OUTCOMES: Final = {
-    "success": ("success", "percentage points"),
-    "time": ("completion time", "s"),
-    "tlx": ("workload", "points"),
+NAMES: Final[dict[Outcome, str]] = {
+    "success": "Success",
+    "time": "Completion time",
+    "tlx": "Workload",
 }
 _LEVELS: Final = {
     "operator": "operators",
@@ -171,8 +171,8 @@ def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, lis
     slopes = learning_slopes(learning)
     rows: list[tuple[str, str, list[str]]] = []
     for one in slopes:
-        title, unit = _OUTCOMES[one.outcome]
-        name = f"{scope_name(one.scope)}: {title} {_SLOPES.get(one.index, one.index)}"
+        title, unit = NAMES[one.outcome].lower(), _unit(DIGITS[one.outcome][2])
+        name = f"{scope_name(one.scope)}: {title} {_SLOPES[one.index]}"
         cells = [
             f"{signed(one.step, 3)} {unit}",
             number(one.se, 3),
@@ -264,11 +264,6 @@ def ratio_rows(result: ScopeResult) -> list[list[str]]:
     return rows
 
 
-NAMES: Final[dict[Outcome, str]] = {
-    "success": "Success",
-    "time": "Completion time",
-    "tlx": "Workload",
-}
 _FIXED: Final = "\N{NO-BREAK SPACE}"  # a figure stays in the line of its unit
 
 
@@ -299,10 +294,9 @@ def primary_of(analysis: Analysis) -> tuple[Outcome | None, str]:
 
 
 def _data(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
-    trials = analysis.data.trials
-    operators = len({str(name) for name in trials.operator})
+    operators, trials = len(analysis.data.flow.analysed), len(analysis.data.trials)
     first = (
-        f"{operators} operators did {len(trials):,} trials with {len(analysis.retargeters)} "
+        f"{operators} operators did {trials:,} trials with {len(analysis.retargeters)} "
         f"retargeters; each is compared with {analysis.baseline}, over all tasks unless "
         "stated otherwise, with simultaneous 95 % intervals (Dunnett)"
     )
@@ -349,7 +343,7 @@ def _differences(outcome: Outcome, result: ScopeResult) -> str:
 
 def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
     parts = []
-    count = len({str(name) for name in analysis.data.trials.operator})
+    count = len(analysis.data.flow.analysed)
     if count < FEW_OPERATORS:
         parts.append(
             f"with {count} operators, only very large differences can be shown; "
@@ -380,13 +374,12 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
 
 def _learned(analysis: Analysis) -> list[str]:
     """Names the outcomes that change over the trials of all tasks, corrected over all slopes."""
-    if len({str(name) for name in analysis.data.trials.operator}) < TESTED_OPERATORS:
+    if len(analysis.data.flow.analysed) < TESTED_OPERATORS:
         return []
     changes = [
-        f"{title} {signed(one.step, 3)}{_FIXED}{_unit(unit)} {_SLOPES[one.index]} "
-        f"({_p(one.p_holm)}, Holm)"
+        f"{NAMES[one.outcome].lower()} {signed(one.step, 3)}{_FIXED}"
+        f"{_unit(DIGITS[one.outcome][2])} {_SLOPES[one.index]} ({_p(one.p_holm)}, Holm)"
         for one in learning_slopes(analysis.learning)
-        for title, unit in [_OUTCOMES[one.outcome]]
         if one.scope == POOLED and one.index in ("trial_global", "tlx_index")
         if one.p_holm is not None and one.p_holm < ALPHA
     ]
