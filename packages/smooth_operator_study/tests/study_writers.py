@@ -28,7 +28,7 @@ from smooth_operator_study.store.events import (
 )
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_study.store.progress import Progress
-from smooth_operator_study.store.study_store import open_study
+from smooth_operator_study.store.study_store import StudyStore, open_study
 
 STUDY = "twenty"
 
@@ -74,6 +74,15 @@ def due(progress: Progress, rng: random.Random) -> Event | None:
     assert step.what == "questionnaire"
     ratings = {name: 5 * rng.randint(0, 20) for name in SCALE_NAMES}
     return QuestionnaireAnswered(task, number, step.point, ratings)
+
+
+def walk(store: StudyStore, operator: str, until: str = "done", seed: int = 1) -> None:
+    """Appends events until a step is due."""
+    rng = random.Random(seed)
+    while (progress := store.progress(operator)).step.what != until:
+        event = due(progress, rng)
+        assert event is not None, f"done before {until}"
+        store.append(operator, event)
 
 
 def write(target: str, operator: str, most: int, acknowledged: Path, seed: int) -> None:

@@ -65,17 +65,12 @@ def test_the_layout_is_the_one_that_is_promised(analysis):
             for scope, result in content[mode][outcome].items():
                 assert result["refused"] is None
                 assert result["n"] > 0
-                assert isinstance(result["warnings"], list)
                 tasks = ["taskB", "taskC"] if scope == "pooled" else []
                 levels = [f"retargeter{name}" for name in names[1:]]
                 assert list(result["coefficients"]) == ["(Intercept)", *levels, *tasks, "t"]
-                assert {"estimate", "se", "p"} <= set(result["coefficients"]["t"])
                 assert list(result["emm"]) == names
-                assert {"estimate", "se", "lower", "upper"} <= set(result["emm"]["sbr"])
                 assert list(result["dunnett"]) == names[1:]
-                assert {"difference", "se", "p_raw", "p_dunnett"} <= set(result["dunnett"]["sbr"])
                 assert len(result["pairs"]) == 6
-                assert {"difference", "se", "p_raw", "p_holm"} <= set(result["pairs"]["geort-sbr"])
                 means, pair = result["emm"], result["pairs"]["geort-sbr"]
                 expected = means["geort"]["estimate"] - means["sbr"]["estimate"]
                 assert pair["difference"] == pytest.approx(expected)

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from smooth_operator import __version__
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.retargeting.presets import live_presets
@@ -25,7 +26,14 @@ from smooth_operator_study.design.plan import (
     scaled,
     spread_of_rows,
 )
-from smooth_operator_study.design.plan_file import plan_of, plan_table, read_plan, write_plan
+from smooth_operator_study.design.plan_file import (
+    plan_of,
+    plan_table,
+    preregistration,
+    read_plan,
+    write_plan,
+    write_preregistration,
+)
 from smooth_operator_study.design.protocol import Condition, Protocol, RubricLine, Task
 
 PAPERS = ("sbr=sbr:paper", "dexpilot=dexpilot:published", "geort", "hybrid=hybrid:published")
@@ -50,11 +58,6 @@ def test_squares_are_balanced_for_place_and_carry_over(count):
     assert set(follows) == set(itertools.permutations(range(count), 2))
     # Each after each other: once in an even square, twice in the two squares of an odd number.
     assert set(follows.values()) == {1 if count % 2 == 0 else 2}
-
-
-def test_one_condition_has_no_order():
-    with pytest.raises(StudyError, match="at least two conditions"):
-        balanced_rows(1)
 
 
 def test_the_papers_study():
@@ -188,7 +191,6 @@ def test_a_design_is_scaled_in_its_shares(operators):
         ({"name": " "}, "needs a name"),
         ({"seed": -1}, "0 or more"),
         ({"tasks": (Task("A", trials=2),)}, "would both follow trial 1"),
-        ({"questionnaires": ("final", "lunch")}, "'lunch'"),
     ],
 )
 def test_protocols_that_can_not_be(changes, says):
@@ -212,7 +214,13 @@ def test_rubrics_need_failure_and_success():
 
 def test_a_plan_reads_back_as_it_was(tmp_path):
     odd = Task("T-1.x", trials=7, time_limit_s=90.0, title='Say "hm" \\ 手', instruction="n")
-    made = protocol(tasks=(odd, *PAPER_TASKS), name='quoted "x"', break_s=0.0)
+    made = protocol(
+        tasks=(odd, *PAPER_TASKS),
+        name='quoted "x"',
+        break_s=0.0,
+        primary="tlx/B",
+        margins={"success": 0.1, "time": 5},
+    )
     plan = make_plan(made).enrol("late_1", ["A"])
     assert read_plan(write_plan(plan, tmp_path)) == plan
     assert read_plan(tmp_path) == plan
@@ -244,6 +252,8 @@ def test_a_short_file_is_enough(tmp_path):
         (("P01 = { B = 4", "P01 = { D = 4"), "unknown task 'D'"),
         (('baseline = "dexpilot"', 'baseline = "pilot"'), "unknown baseline 'pilot'"),
         (("[orders]", "[order]"), "order: no such entry"),
+        (('"midpoint", "final"', '"lunch"'), "expected some of initial, midpoint, final"),
+        (('task_order = "balanced"', 'task_order = "any"'), "'balanced' or 'listed', not 'any'"),
         (("familiarisation_s = 120.0", "familiarisation_s = inf"), "finite number"),
         (("format = 1", "format = = 1"), "not well-formed TOML"),
     ],
@@ -278,30 +288,24 @@ def run(*arguments: str) -> int:
 
 def test_study_new_writes_plan_and_schedule(tmp_path, capsys):
     folder = tmp_path / "mine"
-    arguments = ("--conditions", "sbr=sbr:paper", "dexpilot", "ako", "--tasks", "pinch:12", "A:8:5")
-    assert (
-        run(
-            "new",
-            str(folder),
-            *arguments,
-            "--operators",
-            "7",
-            "--primary",
-            "tlx/A",
-            "--margin",
-            "tlx=8",
-        )
-        == 0
-    )
+    conditions = ("--conditions", "mine=sbr:paper", "dexpilot", "ako=ako")
+    others = "--tasks pinch:12 A:8:5 --operators 7 --primary tlx/A --margin tlx=8 --no-forms"
+    assert run("new", str(folder), *conditions, *others.split()) == 0
     shown = capsys.readouterr().out
     assert "labels for operators" in shown
     plan = read_plan(folder)
-    assert plan.protocol.condition("sbr").preset == "paper"
+    mine, *others = sorted(plan.protocol.conditions, key=lambda one: one.name != "mine")
+    assert (mine.method, mine.preset) == ("sbr", "paper")
+    assert {(one.name, one.method, one.preset) for one in others} == {
+        ("dexpilot", "dexpilot", None),
+        ("ako", "ako", None),
+    }
     assert (plan.protocol.primary, plan.protocol.margins) == ("tlx/A", {"tlx": 8.0})
+    assert plan.protocol.forms == ()
     assert [plan.protocol.planned(task) for task in plan.protocol.tasks] == [7, 5]
     rows = list(csv.DictReader(io.StringIO((folder / "schedule.csv").read_text())))
     assert len(rows) == (7 + 5) * 3
-    assert {row["condition"] for row in rows} == {"sbr", "dexpilot", "ako"}
+    assert {row["condition"] for row in rows} == {"mine", "dexpilot", "ako"}
     assert run("enrol", str(folder), "P08", "--tasks", "A") == 0
     assert read_plan(folder).codes[-1] == "P08"
     assert run("new", str(folder)) == 2
@@ -326,12 +330,6 @@ def test_study_new_alone_is_the_papers(tmp_path):
         assert condition.method == "geort" or condition.preset in published
 
 
-def test_a_condition_is_typed_with_its_method_and_preset():
-    assert Condition.of("a=ako:fast") == Condition("a", "ako", "fast")
-    assert Condition.of("mine=ako") == Condition("mine", "ako")
-    assert Condition.of("sbr=sbr") == Condition("sbr")
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -339,10 +337,14 @@ def test_a_condition_is_typed_with_its_method_and_preset():
         (["--conditions", "sbr"], "two conditions"),
         (["--questionnaires", "none", "final"], "can't be combined with others"),
         (["--baseline", "ako"], "unknown baseline"),
+        (["--primary", "success"], "OUTCOME/SCOPE"),
         (["--primary", "speed/pooled"], "unknown outcome of the primary endpoint"),
+        (["--primary", "time/Z"], "unknown scope of the primary endpoint"),
         (["--primary", "tlx/A", "--questionnaires", "none"], "needs questionnaires"),
         (["--margin", "success"], "OUTCOME=DIFFERENCE"),
         (["--margin", "success=10"], "10 percentage points"),
+        (["--margin", "time=0"], "above 0"),
+        (["--margin", "speed=1"], "unknown outcome of a margin"),
         (["--margin", "time=3", "--margin", "time=4"], "occurs twice"),
     ],
 )
@@ -367,3 +369,58 @@ def test_study_new_says_the_least_p_of_the_design(tmp_path, options, says, capsy
     options = ["--conditions", "sbr", "dexpilot", "hybrid", *options]
     assert main(["study", "new", str(tmp_path / "study"), *options]) == 0
     assert re.search(says, capsys.readouterr().out)
+
+
+# What a plan commits to.
+
+
+def two_tasks(**changes: Any) -> Protocol:
+    conditions = tuple(Condition(name) for name in ("sbr", "dexpilot"))
+    tasks = (Task("A", trials=3), Task("B", trials=3))
+    return replace(Protocol("two", conditions, tasks, "sbr", 4), **changes)
+
+
+def test_a_drawn_plan_without_primary_endpoint_had_none():
+    table = plan_table(make_plan(two_tasks()))
+    assert table.pop("primary") == "success/pooled"
+    assert plan_of(table, "study.toml").protocol.primary == ""
+    draft = {key: value for key, value in table.items() if key not in ("orders", "enrolled")}
+    assert plan_of(draft, "draft.toml").protocol.primary == "success/pooled"
+
+
+def test_the_preregistration_says_what_the_plan_commits_to(tmp_path):
+    plan = make_plan(two_tasks(primary="time/B", margins={"success": 0.1}))
+    assert write_preregistration(plan, tmp_path) is not None
+    text = (tmp_path / "PREREGISTRATION.md").read_text(encoding="utf-8")
+    for part in (
+        "completion time of successful trials [s], in task B, differs between sbr (baseline) and "
+        "dexpilot",
+        "success 10 percentage points",
+        "the 2 rows of a Williams square",
+        f"1. {', '.join(plan.orders[0])}",
+        "`success ~ retargeter + task + t`",
+        "(1 | operator:retargeter)`, and `(1 | operator:retargeter:task)`",
+        "Dunnett, within one outcome and one scope",
+        "α = 0.05",
+        "ends when 4 operators have completed",
+        "1: done as instructed, without a reset",
+        "smooth-operator " + __version__,
+    ):
+        assert part in text, part
+    alone = two_tasks(tasks=(Task("A", trials=3),), questionnaires=(), primary="")
+    text = preregistration(make_plan(alone))
+    assert "all results are exploratory" in text
+    assert "retargeter:task" not in text
+    assert "NASA" not in text.split("## Models")[0]
+
+
+def test_a_preregistration_that_was_completed_stays_beside_a_new_one(tmp_path):
+    folder = tmp_path / "study"
+    new = ["study", "new", str(folder), "--conditions", "sbr", "ako", "--tasks", "A:3"]
+    assert main([*new, "--operators", "2"]) == 0
+    file = folder / "PREREGISTRATION.md"
+    completed = file.read_text(encoding="utf-8").replace("[Latest date.]", "Until May.")
+    file.write_text(completed, encoding="utf-8")
+    assert main([*new, "--operators", "2", "--primary", "tlx/A", "--overwrite"]) == 0
+    assert "workload" in file.read_text(encoding="utf-8").split("## Design")[0]
+    assert (folder / "PREREGISTRATION.before.md").read_text(encoding="utf-8") == completed

@@ -2,12 +2,11 @@
 
 import csv
 import json
-import random
 from pathlib import Path
 
 import pytest
 from study_cases import simulate, write_rows
-from study_writers import due
+from study_writers import walk
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
@@ -21,17 +20,9 @@ from smooth_operator_study.design.plan_file import plan_table, write_plan_files
 from smooth_operator_study.design.protocol import Condition, Protocol, Task
 from smooth_operator_study.store.events import Amended, Recalibrated, TrialVoided, Undone, Withdrawn
 from smooth_operator_study.store.export import export_study
-from smooth_operator_study.store.study_store import StudyStore, open_study
+from smooth_operator_study.store.study_store import open_study
 
 CODES = ("P01", "P02", "P03", "P04", "P05")
-
-
-def go(store: StudyStore, operator: str, until: str, seed: int = 0) -> None:
-    draw = random.Random(f"{operator}{seed}")
-    while (step := store.progress(operator).step).what != until:
-        event = due(store.progress(operator), draw)
-        assert event is not None, step
-        store.append(operator, event)
 
 
 @pytest.fixture(scope="module")
@@ -52,23 +43,21 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     write_plan_files(plan, folder)
     with open_study(folder, plan) as store:
-        go(store, "P01", "trial")
-        block = store.progress("P01").step.block
-        assert block is not None
+        walk(store, "P01", "trial")
         store.append("P01", TrialVoided("A", 1, 1, "the robot tripped"))
-        go(store, "P01", "trial")
+        walk(store, "P01", "trial")
         store.append("P01", Undone(store.progress("P01").number))
         store.append("P01", Recalibrated("A"))
-        go(store, "P01", "done")
+        walk(store, "P01", "done")
         trial = store.progress("P01").trials[1]
         store.append("P01", Amended("A", 1, trial.number, "failed", 0.0, 9.0, "from film", "AB"))
-        go(store, "P02", "trial")
-        go(store, "P02", "questionnaire")
+        walk(store, "P02", "trial")
+        walk(store, "P02", "questionnaire")
         store.append("P02", Withdrawn(False, "ill"))
-        go(store, "P03", "questionnaire")
+        walk(store, "P03", "questionnaire")
         store.append("P03", Withdrawn(True))
-        go(store, "P04", "done")
-        go(store, "P05", "done")
+        walk(store, "P04", "done")
+        walk(store, "P05", "done")
     return folder
 
 

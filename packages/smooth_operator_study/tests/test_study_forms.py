@@ -10,12 +10,11 @@ import pytest
 from study_console import console_pages, console_plan, give, walk
 from test_study_console import kinds
 
-from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
-from smooth_operator_study.console.session_service import SessionService, command_of
+from smooth_operator_study.console.session_service import SessionService
 from smooth_operator_study.design.forms import DEFAULT_FORMS, Form, FormField
 from smooth_operator_study.design.plan import Plan
-from smooth_operator_study.design.plan_file import plan_of, plan_table, read_plan
+from smooth_operator_study.design.plan_file import plan_of, plan_table
 from smooth_operator_study.store.nasa_tlx import ENGLISH, read_words
 from smooth_operator_study.store.study_store import StudyStore, open_study
 
@@ -76,14 +75,6 @@ def test_nothing_starts_without_consent_and_a_slip_is_undone(store):
     assert store.progress("P01").step.form == "consent"
 
 
-@pytest.mark.parametrize("do", ["form", "answer"])
-def test_only_the_operators_page_answers(do):
-    message = {"token": "t" * 8, "do": do, "operator": "P01", "fields": {"form": "a"}}
-    assert command_of(message, "operator").do == do
-    with pytest.raises(StudyError, match="the experimenter's page is not allowed to do"):
-        command_of(message, "experimenter")
-
-
 @pytest.mark.parametrize(
     ("answers", "why"),
     [
@@ -107,7 +98,6 @@ def test_what_does_not_answer_a_form_is_refused(answers, why):
     [
         ({"kind": "choice"}, "at least two choices"),
         ({"kind": "text", "choices": ("a", "b")}, "other kinds have none"),
-        ({"kind": "tick"}, "kind must be one of text"),
         ({"label": " "}, "needs a label"),
         ({"kind": "number", "least": 2, "most": 1}, "least is 2, most 1"),
     ],
@@ -115,14 +105,6 @@ def test_what_does_not_answer_a_form_is_refused(answers, why):
 def test_what_is_no_field_is_refused(made, why):
     with pytest.raises(StudyError, match=why):
         FormField(**{"name": "x", "label": "y", **made})
-
-
-def test_study_new_writes_forms_unless_asked_not_to(tmp_path):
-    options = ["--conditions", "sbr", "dexpilot", "--tasks", "A:3", "--operators", "4"]
-    assert main(["study", "new", str(tmp_path / "a"), *options]) == 0
-    assert read_plan(tmp_path / "a").protocol.forms == DEFAULT_FORMS
-    assert main(["study", "new", str(tmp_path / "b"), *options, "--no-forms"]) == 0
-    assert read_plan(tmp_path / "b").protocol.forms == ()
 
 
 # NASA-TLX.

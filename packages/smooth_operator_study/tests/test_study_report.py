@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from study_cases import Row, simulate, write_rows
+from study_writers import small_plan, walk
 
 from smooth_operator.cli import main
 from smooth_operator_study.analysis import analyze_study
@@ -28,6 +29,7 @@ from smooth_operator_study.analysis.report.tables import (
 )
 from smooth_operator_study.data import read_study
 from smooth_operator_study.design.protocol import Condition, Protocol, Task
+from smooth_operator_study.store.study_store import open_study
 
 FIGURES = (
     "success",
@@ -391,15 +393,9 @@ def test_bad_data_write_nothing_and_give_status_2(data, tmp_path, capsys):
 
 
 def test_a_study_that_was_run_is_analysed_from_its_store(tmp_path, capsys):
-    from study_writers import due, small_plan
-
-    from smooth_operator_study.store.study_store import open_study
-
     with open_study(tmp_path / "study", small_plan(3)) as store:
         for seed, operator in enumerate(store.plan.codes):
-            draw = random.Random(seed)
-            while (event := due(store.progress(operator), draw)) is not None:
-                store.append(operator, event)
+            walk(store, operator, seed=seed)
     out = tmp_path / "out"
     arguments = ["study", "analyze", str(tmp_path / "study"), "--output", str(out), "--no-report"]
     assert main(arguments) in (0, 1)

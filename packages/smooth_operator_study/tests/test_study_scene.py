@@ -35,6 +35,17 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
         yield made
 
 
+@pytest.fixture
+def simulation() -> FakeSimulation:
+    return FakeSimulation()
+
+
+@pytest.fixture
+def service(store: StudyStore, simulation: FakeSimulation) -> SessionService:
+    """A session of the first operator."""
+    return SessionService(store, operator="P01", teleop=simulation)
+
+
 def due(store: StudyStore, do: str, operator: str = "P01", **fields: Any) -> Command:
     return command(store.progress(operator), do, **fields)
 
@@ -45,9 +56,7 @@ def begun(simulation: FakeSimulation) -> list[tuple[str | None, int]]:
     return [(fields["about"]["task"], fields["about"]["trial"]) for fields in asked]
 
 
-def test_a_trial_has_its_scene_after_a_restart_with_another(store):
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
+def test_a_trial_has_its_scene_after_a_restart_with_another(service, simulation):
     walk(service, "trial")
     give(service, "score", line="done")
     walk(service, "start_trial")
@@ -59,9 +68,7 @@ def test_a_trial_has_its_scene_after_a_restart_with_another(store):
     assert simulation.trial["phase"] == "running"
 
 
-def test_between_trials_the_scene_is_watched(store):
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
+def test_between_trials_the_scene_is_watched(service, simulation):
     walk(service, "start_trial")
     simulation.task = "cube"
     service.watch()
@@ -69,8 +76,7 @@ def test_between_trials_the_scene_is_watched(store):
     assert service.look()[0]["teleop"]["scene"] == "card"
 
 
-def test_back_at_an_operator_in_mid_block_their_scene_is_there(store):
-    simulation = FakeSimulation()
+def test_back_at_an_operator_in_mid_block_their_scene_is_there(simulation, store):
     service = SessionService(store, operator="P02", teleop=simulation)
     walk(service, "start_block", "cube")
     service = SessionService(store, operator="P01", teleop=simulation)
@@ -86,9 +92,7 @@ def test_back_at_an_operator_in_mid_block_their_scene_is_there(store):
     assert (simulation.task, begun(simulation)[-1]) == ("card", ("card", 2))
 
 
-def test_before_the_first_trial_of_a_block_there_is_no_object(store):
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
+def test_before_the_first_trial_of_a_block_there_is_no_object(service, simulation):
     walk(service, "familiarise")
     assert (simulation.task, simulation.there) == ("card", False)
     simulation.there = True  # started again
@@ -101,8 +105,7 @@ def test_before_the_first_trial_of_a_block_there_is_no_object(store):
     assert simulation.there
 
 
-def test_a_console_that_is_started_again_leaves_the_hand_alone(store):
-    simulation = FakeSimulation()
+def test_a_console_that_is_started_again_leaves_the_hand_alone(simulation, store):
     walk(SessionService(store, operator="P01", teleop=simulation), "trial")
     simulation.done("done", 1.0, 12.25)
     written, asked = store.records("P01"), len(simulation.asked)
@@ -115,9 +118,7 @@ def test_a_console_that_is_started_again_leaves_the_hand_alone(store):
     assert store.progress("P01").trials[-1].time_s == 12.25
 
 
-def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(store):
-    simulation = FakeSimulation()
-    service = SessionService(store, operator="P01", teleop=simulation)
+def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(service, simulation, store):
     for end, marked in ((lambda: None, 0), (lambda: simulation.done("done", 1.0, 3.0), 1)):
         walk(service, "trial")
         end()

@@ -263,19 +263,14 @@ def test_the_bound_holds_where_trials_of_an_operator_are_one_and_the_same():
     assert naive == pytest.approx(1 - 0.05 ** (1 / 100))
 
 
-def test_separated_retargeters_are_described():
-    found = separated(study({"base": [1, 2], "always": [4, 4], "never": [0, 0]}, tasks=2))
+def test_separated_retargeters_are_described_and_the_rest_has_both_outcomes():
+    frame = study({"base": [1, 2], "always": [4, 4], "never": [0, 0]}, tasks=2)
+    found = separated(frame)
     text = separated_in_words("always", found["always"])
     assert "always succeeded in all of 16 trials of 2 operators" in text
     assert "at least 22.4 %" in text
     assert "at most 77.6 %" in separated_in_words("never", found["never"])
-
-
-def test_the_rest_has_both_outcomes():
-    frame = study({"base": [1, 2], "always": [4, 4], "never": [0, 0]})
-    rest = without_separated(frame)
-    assert rest is not None
-    assert rest.retargeters == ("base",)
+    assert without_separated(frame).retargeters == ("base",)
     assert without_separated(study({"base": [4, 4], "never": [0, 0]})) is None
 
 

@@ -145,10 +145,7 @@ def _text(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     # Dunnett's table of two-sided 5 % points (1964), equal group sizes: correlation 0.5.
     [
         (2, 10, 2.57),
-        (2, 20, 2.38),
         (3, 5, 3.29),
-        (3, 10, 2.76),
-        (3, 20, 2.54),
         (3, 60, 2.41),
         (4, 12, 2.81),
         (3, np.inf, 2.35),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from processes import python
-from study_writers import due, notes, small_plan
+from study_writers import due, notes, small_plan, walk
 
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator_study.data import read_study
@@ -42,19 +42,6 @@ forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="writers are forked")
 def store(tmp_path: Path) -> Iterator[StudyStore]:
     with open_study(tmp_path, small_plan(2)) as made:
         yield made
-
-
-def walk(store: StudyStore, operator: str, until: str = "done", seed: int = 1) -> int:
-    """Lets things happen until a step is due; how many did."""
-    rng = random.Random(seed)
-    for count in range(10_000):
-        progress = store.progress(operator)
-        if progress.step.what == until:
-            return count
-        event = due(progress, rng)
-        assert event is not None, f"done before {until}"
-        store.append(operator, event)
-    raise AssertionError("no end")
 
 
 def score(store: StudyStore, operator: str, line: str, seconds: float = 9.5) -> TrialScored:

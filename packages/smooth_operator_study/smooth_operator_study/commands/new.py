@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Final
 
@@ -39,7 +40,6 @@ from smooth_operator_study.design.protocol import (
     Condition,
     Protocol,
     Task,
-    margins_of,
 )
 from smooth_operator_study.store.study_store import FILE, open_study
 
@@ -117,6 +117,9 @@ def _protocol(options: New) -> Protocol:
             share = Protocol("draft", conditions, tasks, names[0], PAPER_OPERATORS)
             tasks = scaled(share, operators).tasks
         operators = operators or PAPER_OPERATORS
+    margins = numbers_of(options.margin, "--margin", "OUTCOME=DIFFERENCE, such as success=0.1")
+    if not options.margin and not options.conditions:
+        margins = PAPER_MARGINS
     points = options.questionnaires or POINTS
     if "none" in points and len(points) > 1:
         raise ConfigError("--questionnaires none can't be combined with others")
@@ -132,17 +135,22 @@ def _protocol(options: New) -> Protocol:
         forms=() if options.no_forms else DEFAULT_FORMS,
         rate_hz=rate,
         primary=PRIMARY if options.primary is None else options.primary,
-        margins=_margins(options),
+        margins=margins,
     )
 
 
-def _margins(options: New) -> dict[str, float]:
-    if not options.margin:
-        return {} if options.conditions else dict(PAPER_MARGINS)
-    try:
-        return margins_of(options.margin)
-    except ValueError as error:
-        raise ConfigError(f"--margin: {error}") from None
+def numbers_of(words: Sequence[str], option: str, form: str) -> dict[str, float]:
+    """Parses ``NAME=NUMBER`` words of an option; ``form`` is their form in messages."""
+    numbers: dict[str, float] = {}
+    for word in words:
+        name, _, number = word.partition("=")
+        if name in numbers:
+            raise ConfigError(f"{option}: {name} occurs twice")
+        try:
+            numbers[name] = float(number)
+        except ValueError:
+            raise ConfigError(f"{option} {word}: expected {form}") from None
+    return numbers
 
 
 def _task(text: str, templates: dict[str, Task]) -> Task:

@@ -11,11 +11,10 @@ from rich.console import Console
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.errors import ConfigError
 from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.terminal import printable
 from smooth_operator_study.analysis.results import MODES
-from smooth_operator_study.commands.new import PAPER_CONDITIONS, PAPER_OPERATORS
+from smooth_operator_study.commands.new import PAPER_CONDITIONS, PAPER_OPERATORS, numbers_of
 from smooth_operator_study.commands.options import Power
 from smooth_operator_study.design.plan_file import read_plan
 from smooth_operator_study.design.protocol import Protocol
@@ -67,11 +66,12 @@ def _settings(options: Power) -> PowerSettings:
         )
     else:
         protocol = read_plan(options.study).protocol
+    form = "NAME=NUMBER, such as sbr=0.5"
     truth = assumptions_for(
         protocol.condition_names,
-        success=_values(options.success, "--success"),
-        time_s=_values(options.time, "--time"),
-        workload=_values(options.workload, "--workload"),
+        success=numbers_of(options.success, "--success", form),
+        time_s=numbers_of(options.time, "--time", form),
+        workload=numbers_of(options.workload, "--workload", form),
         operators=Spread(*options.operators_differ),
         interaction=Spread(*options.preferences_differ),
         trials=Spread(0.0, *options.trials_differ),
@@ -85,17 +85,6 @@ def _settings(options: Power) -> PowerSettings:
         options.per_task,
         options.seed,
     )
-
-
-def _values(texts: Sequence[str], option: str) -> dict[str, float]:
-    numbers: dict[str, float] = {}
-    for text in texts:
-        name, _, number = text.partition("=")
-        try:
-            numbers[name] = float(number)
-        except ValueError:
-            raise ConfigError(f"{option} {text}: expected NAME=NUMBER, such as sbr=0.5") from None
-    return numbers
 
 
 def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:

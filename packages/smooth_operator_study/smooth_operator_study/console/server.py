@@ -271,7 +271,9 @@ class Console:
         sending = asyncio.create_task(self._send_news(page))
         try:
             async for message in connection:
-                self._hear(page, message)
+                request = json_object(message) or {}
+                if request.get("type") == "command":
+                    asyncio.create_task(self._command(page, request))  # noqa: RUF006  (answers by itself)
         except ConnectionClosed:
             pass
         finally:
@@ -279,11 +281,6 @@ class Console:
             self._stale.set()
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
-
-    def _hear(self, page: _Page, message: str | bytes) -> None:
-        request = json_object(message) or {}
-        if request.get("type") == "command":
-            asyncio.create_task(self._command(page, request))  # noqa: RUF006  (answers by itself)
 
     async def _command(self, page: _Page, request: dict[str, Any]) -> None:
         answer: dict[str, Any] = {"type": "done", "token": request.get("token")}

@@ -197,8 +197,6 @@ def store_failures() -> Iterator[None]:
     """Turns an error of the database into ``StoreFailedError``."""
     try:
         yield
-    except StoreFailedError:
-        raise
     except StudyError as error:
         cause = error.__cause__
         if isinstance(cause, sqlite3.Error | OSError) and not isinstance(

@@ -92,18 +92,13 @@ class Checked:
 
     def counts(self, column: str) -> list[int]:
         """Reads whole numbers from 1."""
-        wholes = []
-        for number, row in self.rows:
-            value = _number(row[column])
-            if value is None or not 1 <= value <= _MOST_COUNT or value != int(value):
-                self.complain(
-                    number,
-                    column,
-                    f"expected a whole number of at least 1, not {brief(row[column])}",
-                )
-                value = 1.0
-            wholes.append(int(value))
-        return wholes
+        values = self.numbers(
+            column,
+            "a whole number of at least 1",
+            lambda x: 1 <= x <= _MOST_COUNT and x.is_integer(),
+            optional=False,
+        )
+        return [1 if math.isnan(value) else int(value) for value in values]
 
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import StudyError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
 from smooth_operator.metrics.table import find_metric
@@ -75,13 +74,11 @@ def take_metrics(
     """Computes the metrics of each operator with each retargeter.
 
     Args:
-        pieces: operator and retargeter of each trial, and its frames.
+        pieces: operator and retargeter of each trial, and its frames; at least one.
 
     Returns:
         One row for each operator and retargeter.
     """
-    if not pieces:
-        raise StudyError("no trial of the study is in these recordings")
     reach = sample_reach(hand)
     of: dict[tuple[str, str], list[Trace]] = {}
     for who, trace in pieces:

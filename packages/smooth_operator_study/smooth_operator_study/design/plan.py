@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import pairwise, permutations
@@ -51,34 +51,16 @@ def shuffled(items: Iterable[str], seed: int, what: str) -> list[str]:
     return sorted(items, key=lambda item: lot(seed, what, item))
 
 
-def blind_labels(names: Sequence[str], used: Collection[str], seed: int) -> dict[str, str]:
-    """Draws names of trees as neutral labels of conditions.
-
-    Args:
-        names: names of the conditions.
-        used: labels that are used already.
-        seed: seed of the draw.
-
-    Returns:
-        Name of a condition -> label.
-    """
-    free = [tree for tree in shuffled(_TREES, seed, "label") if tree not in used]
-    free += [f"Tree-{k}" for k in range(1, len(names) + 1) if f"Tree-{k}" not in used]
-    return dict(zip(shuffled(names, seed, "labelled"), free, strict=False))
-
-
 def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
     """Returns the rows of a balanced Latin square (Williams 1949).
 
     Args:
-        count: number of conditions, n.
+        count: number of conditions, n, of at least 2.
 
     Returns:
         n rows if n is even, 2 n if it is odd, of the numbers 0 .. n-1; then row k + n is row k
         backwards.
     """
-    if count < 2:
-        raise StudyError(f"an order needs at least two conditions, not {count}")
     # 0, 1, n-1, 2, n-2, ...: the steps between neighbours are all different modulo n.
     zigzag = [(k + 1) // 2 if k % 2 else (count - k // 2) % count for k in range(count)]
     rows = [tuple((start + z) % count for z in zigzag) for start in range(count)]
@@ -250,13 +232,9 @@ def spread_of_rows(enrolments: Sequence[Enrolment], task: str, rows: int) -> int
     return max(counts) - min(counts)
 
 
-def operator_code(number: int, among: int) -> str:
-    """Returns a code such as ``P01``; all codes have one width, so that tables sort."""
-    return f"P{number:0{max(2, len(str(among)))}d}"
-
-
 def _dealt(protocol: Protocol) -> dict[str, list[str]]:
-    codes = [operator_code(k + 1, protocol.operators) for k in range(protocol.operators)]
+    width = max(2, len(str(protocol.operators)))  # one width for all, so that tables sort
+    codes = [f"P{k:0{width}d}" for k in range(1, protocol.operators + 1)]
     dealt: dict[str, list[str]] = {code: [] for code in codes}
     at = 0
     for task in protocol.tasks:
@@ -461,7 +439,10 @@ def make_plan(protocol: Protocol) -> Plan:
     """
     bare = [c.name for c in protocol.conditions if not c.label]
     chosen = {c.label for c in protocol.conditions}
-    labels = blind_labels(bare, chosen, protocol.seed)
+    trees = shuffled(_TREES, protocol.seed, "label")
+    trees += [f"Tree-{k}" for k in range(1, len(bare) + 1)]
+    free = [tree for tree in trees if tree not in chosen]
+    labels = dict(zip(shuffled(bare, protocol.seed, "labelled"), free, strict=False))
     protocol = replace(
         protocol,
         conditions=tuple(replace(c, label=c.label or labels[c.name]) for c in protocol.conditions),

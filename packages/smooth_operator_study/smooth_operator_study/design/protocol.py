@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -48,24 +48,6 @@ def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None
         raise UnknownNameError("scope of the primary endpoint:", scope, (POOLED, *tasks))
     if outcome == "tlx" and not workload:
         raise StudyError(f"the primary endpoint {primary!r} needs questionnaires; none are planned")
-
-
-def margins_of(words: Iterable[str]) -> dict[str, float]:
-    """Parses margins of equivalence, ``OUTCOME=DIFFERENCE`` each."""
-    margins: dict[str, float] = {}
-    for word in words:
-        outcome, _, number = word.partition("=")
-        try:
-            margin = float(number)
-        except ValueError:
-            raise ValueError(
-                f"expected OUTCOME=DIFFERENCE as in success=0.1, not {word!r}"
-            ) from None
-        if outcome in margins:
-            raise ValueError(f"{outcome} occurs twice")
-        margins[outcome] = margin
-    check_margins(margins)
-    return margins
 
 
 def check_margins(margins: Mapping[str, float]) -> None:

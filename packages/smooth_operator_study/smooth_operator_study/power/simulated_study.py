@@ -164,12 +164,9 @@ def planned_data(plan: Plan) -> StudyData:
         for point in block.questionnaires.values()
     ]
     return StudyData(
-        trials_table(_columns(trials)), questionnaires_table(_columns(filled)) if filled else None
+        trials_table(pd.DataFrame(trials)),
+        questionnaires_table(pd.DataFrame(filled)) if filled else None,
     )
-
-
-def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def _place(block: Block) -> dict[str, Any]:

@@ -292,18 +292,13 @@ def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
         left.axhline(0, color=GRID, linewidth=0.8)
         left.set_xlabel(f"fitted {title}")
         left.set_ylabel("residual")
-        _quantiles(right, residuals)
+        ordered = np.sort(residuals) / residuals.std(ddof=1)
+        normal = ndtri((np.arange(len(ordered)) + 0.5) / len(ordered))
+        right.plot(normal[[0, -1]], normal[[0, -1]], color=GRID, linewidth=0.8)
+        right.plot(normal, ordered, ".", color="#444c55", markersize=3)
+        right.set_xlabel("normal quantile")
+        right.set_ylabel("residual / SD")
     return _legend(figure, analysis.retargeters)
-
-
-def _quantiles(axes: Axes, residuals: np.ndarray) -> None:
-    ordered = np.sort(residuals) / residuals.std(ddof=1)
-    normal = ndtri((np.arange(len(ordered)) + 0.5) / len(ordered))
-    ends = [normal[0], normal[-1]]
-    axes.plot(ends, ends, color=GRID, linewidth=0.8)
-    axes.plot(normal, ordered, ".", color="#444c55", markersize=3)
-    axes.set_xlabel("normal quantile")
-    axes.set_ylabel("residual / SD")
 
 
 FIGURES: Final[Mapping[str, Callable[[Analysis, Colors], Figure | None]]] = {
