@@ -271,9 +271,9 @@ class Console:
         sending = asyncio.create_task(self._send_news(page))
         try:
             async for message in connection:
-                request = json_object(message) or {}
-                if request.get("type") == "command":
-                    asyncio.create_task(self._command(page, request))  # noqa: RUF006  (answers by itself)
+                content = json_object(message) or {}
+                if content.get("type") == "command":
+                    asyncio.create_task(self._command(page, content))  # noqa: RUF006  (answers by itself)
         except ConnectionClosed:
             pass
         finally:
