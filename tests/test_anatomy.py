@@ -23,7 +23,7 @@ from smooth_operator.synthetic.gestures import FIST, FLAT, SPREAD, pinch_posture
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.recording import read_episode
-from smooth_operator.teleop.sources.payload import read_payload
+from smooth_operator.teleop.sources.payload import Forms, read_payload
 from smooth_operator.types import HandRecording, Side
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -407,9 +407,9 @@ def test_live_hands_of_real_trackers(shared, mirrored):
 def test_messages_in_another_layout_are_converted(operator, form):
     points = in_layout(operator.landmarks[5], "mano")
     data = points.astype("<f8").tobytes() if form == "bytes" else str(points.tolist()).encode()
-    (reading,) = read_payload(data, side="right", received=1.0, layout="mano")
+    (reading,) = read_payload(data, "right", Forms(layout="mano"))
     np.testing.assert_array_equal(reading.frame.landmarks, operator.landmarks[5])
-    (as_it_came,) = read_payload(data, side="right", received=1.0)
+    (as_it_came,) = read_payload(data, "right")
     assert not np.array_equal(as_it_came.frame.landmarks, operator.landmarks[5])
 
 

@@ -157,11 +157,9 @@ def test_a_robot_that_can_not_be_drawn_costs_no_command(tmp_path):
         raise ValueError("another hand")
 
     log = LogWriter(tmp_path / "a.mcap", keypoints=broken)
-    log.write_command(JointCommand(np.zeros(1), ("a",), 1.0), Status.OK, 1.0)
     with pytest.raises(ValueError, match="another hand"):
-        log.flush()
+        log.write_command(JointCommand(np.zeros(1), ("a",), 1.0), Status.OK, 1.0)
     log.close()
-    assert set(messages(tmp_path / "a.mcap")) == {"/foxglove/joints"}
     commands = read_log(tmp_path / "a.mcap").commands
     assert len(commands) == 1
 

@@ -2,7 +2,7 @@
 
 import threading
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -296,7 +296,7 @@ def test_settings_of_the_operator_are_checked(settings, says):
     ],
 )
 def test_stamps_that_jump_back_are_another_session(stamps, sessions):
-    assert received([Reading(frame(at), True) for at in stamps]) == [
+    assert received([Reading(frame(at)) for at in stamps]) == [
         ("right", session) for session in sessions
     ]
 
@@ -307,17 +307,17 @@ def received(readings: list[Reading]) -> list[tuple[Side, int]]:
     script = iter(readings)
     receiver = MessageReceiver(running, "here", ("right", "left"), lambda *_: [next(script)])
     for reading in readings:
-        receiver.take((b"",), reading.frame.stamp)
+        receiver.take((b"",), 1.2 if reading.frame.stamp is None else reading.frame.stamp)
     return [(a.frame.side, a.session) for a in mailbox.all]
 
 
 def test_each_hand_has_its_sessions_and_a_tracker_may_name_them():
     script: list[Reading] = [
-        Reading(frame(1.0), True, "a"),
-        Reading(frame(1.0, "left"), True, "a"),
-        Reading(frame(1.1), True, "b"),
-        Reading(frame(1.1, "left"), True, "a"),
-        Reading(frame(1.2), False, "b"),
+        Reading(frame(1.0), "a"),
+        Reading(frame(1.0, "left"), "a"),
+        Reading(frame(1.1), "b"),
+        Reading(frame(1.1, "left"), "a"),
+        Reading(replace(frame(), stamp=None), "b"),
     ]
     sessions = [("right", 0), ("left", 0), ("right", 1), ("left", 0), ("right", 2)]
     assert received(script) == sessions
@@ -327,7 +327,7 @@ def test_health_counts_what_could_not_be_read_and_tells_of_silence():
     def read(message: tuple[bytes, ...], at: float) -> list[Reading]:
         if message[0] == b"bad":
             raise RecordingError("it makes no sense")
-        return [Reading(frame(at), True)]
+        return [Reading(frame(at))]
 
     waits = Waits()
     running, mailbox = started(waits)

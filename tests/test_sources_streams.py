@@ -39,7 +39,7 @@ def text(**message: Any) -> bytes:
 
 
 def read(data: bytes, side: Any = "right") -> HandFrame:
-    (reading,) = read_payload(data, side=side, received=7.0)
+    (reading,) = read_payload(data, side)
     return reading.frame
 
 
@@ -48,7 +48,7 @@ def read(data: bytes, side: Any = "right") -> HandFrame:
 def test_numbers_of_three_trackers_are_the_same_hand(kind, points):
     frame = read(points.astype(kind).tobytes(), "left")
     np.testing.assert_allclose(frame.landmarks, POINTS, atol=1e-6)
-    assert (frame.side, frame.stamp) == ("left", 7.0)
+    assert (frame.side, frame.stamp) == ("left", None)
     assert (frame.metacarpals is None) == (len(points) == 21)
     if frame.metacarpals is not None:
         np.testing.assert_allclose(frame.metacarpals, HAND.metacarpals, atol=1e-6)
@@ -85,10 +85,10 @@ def test_json_says_all_or_the_landmarks_alone():
 def test_one_message_may_hold_both_hands():
     hands = [{"side": side, "landmarks": POINTS.tolist()} for side in ("right", "left")]
     data = json.dumps({"stamp": 3.0, "session": 9, "hands": hands}).encode()
-    both = read_payload(data, side=None, received=7.0)
-    assert [(r.frame.side, r.frame.stamp, r.stamped, r.session) for r in both] == [
-        ("right", 3.0, True, "9"),
-        ("left", 3.0, True, "9"),
+    both = read_payload(data, None)
+    assert [(r.frame.side, r.frame.stamp, r.session) for r in both] == [
+        ("right", 3.0, "9"),
+        ("left", 3.0, "9"),
     ]
 
 
@@ -139,7 +139,7 @@ def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
 )
 def test_what_can_t_be_read_says_why(data, says):
     with pytest.raises(RecordingError) as caught:
-        read_payload(data, side="right", received=0.0)
+        read_payload(data, "right")
     assert says in str(caught.value)
     assert len(str(caught.value)) < 600
 
@@ -154,8 +154,8 @@ def test_no_message_can_raise_anything_else(tries):
     mutants = [fuzzing.damaged_bytes(seed) for seed in seeds]
     mutants += [fuzzing.damaged_json(seed) for seed in forms]
     for reader in (
-        lambda data: read_payload(data, side="right", received=0.0),
-        lambda data: read_manus(data, gloves={}, side="right", received=0.0),
+        lambda data: read_payload(data, "right"),
+        lambda data: read_manus(data, gloves={}, side="right"),
     ):
         refused, found = fuzzing.outcomes(st.one_of(*mutants), tries, reader)
         assert len(refused) > tries // 3  # the other's messages, too
@@ -190,7 +190,7 @@ def ros_text(**message: Any) -> bytes:
 
 
 def read_glove(data: bytes, side: Any = None, **gloves: Any) -> list[HandFrame]:
-    return [r.frame for r in read_manus(data, gloves=gloves, side=side, received=7.0)]
+    return [r.frame for r in read_manus(data, gloves=gloves, side=side)]
 
 
 ROWS = [[*p, 1.0, 0.0, 0.0, 0.0] for p in NODES.tolist()]
@@ -239,8 +239,8 @@ def test_a_bridge_says_the_order_of_its_quaternions_and_its_time():
     assert read_glove(glove_text(stamp=4.5))[0].stamp == 4.5
     assert read_glove(glove_text(timestamp=4.5))[0].stamp == 4.5
     # The SDK's own time is a packed date: better none than that.
-    (reading,) = read_manus(glove_text(timestamp=10**17), gloves={}, side=None, received=7.0)
-    assert (reading.frame.stamp, reading.stamped) == (7.0, False)
+    (reading,) = read_manus(glove_text(timestamp=10**17), gloves={}, side=None)
+    assert reading.frame.stamp is None
 
 
 @pytest.mark.parametrize(

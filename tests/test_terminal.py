@@ -48,7 +48,7 @@ def test_errors_name_hostile_files_as_text(tmp_path, capsys):
 def test_keys_of_a_message_are_told_as_text(capsys):
     message = json.dumps({HOSTILE: 1}).encode()
     with pytest.raises(RecordingError) as caught:
-        read_manus(message, gloves={}, side="right", received=0.0)
+        read_manus(message, gloves={}, side="right")
     Progressing().note(f"manus: {caught.value}", matters=True)
     err = capsys.readouterr().err
     assert harmless(err)

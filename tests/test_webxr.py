@@ -73,7 +73,7 @@ def message(
 
 def test_joints_become_landmarks_in_our_order_and_quaternions_ours():
     packet = read_packet(message(joints(-1), joints(), number=7, stamp=2.5))
-    assert (packet.number, packet.stamp) == (7, 2.5)
+    assert packet.number == 7
     assert [frame.side for frame in packet.frames] == ["left", "right"]
     for frame, sign in zip(packet.frames, (-1, 1), strict=True):
         assert frame.stamp == 2.5

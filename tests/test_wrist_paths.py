@@ -172,24 +172,24 @@ def test_26_poses_of_openxr_hold_a_wrist():
     rows[list(FROM_OPENXR_26), :3] = FLAT_HAND
     rows[:, 3] = 1.0
     rows[:, :3] += [0.3, 1.2, -0.4]
-    (reading,) = read_payload(json.dumps(rows.tolist()).encode(), side="right", received=0.0)
+    (reading,) = read_payload(json.dumps(rows.tolist()).encode(), "right")
     np.testing.assert_allclose(reading.frame.T_world_wrist, [0.4, -0.3, 1.2, 1, 0, 0, 0])
     given = json.dumps({"joints": rows.tolist(), "wrist": POSE, "world": "cell"}).encode()
-    (reading,) = read_payload(given, side="right", received=0.0)
+    (reading,) = read_payload(given, "right")
     np.testing.assert_allclose(reading.frame.T_world_wrist, POSE)
     assert reading.frame.world == "cell"
     points = json.dumps(rows[:, :3].tolist()).encode()
-    assert read_payload(points, side="right", received=0.0)[0].frame.T_world_wrist is None
+    assert read_payload(points, "right")[0].frame.T_world_wrist is None
 
 
 def test_a_bridge_may_add_a_trackers_wrist_to_a_glove():
     nodes = json.loads(write_manus(HandFrame(FLAT_HAND, 0.0)))
     message = json.dumps({"side": "right", "nodes": nodes, "wrist": POSE, "world": "vive"})
-    (reading,) = read_manus(message.encode(), gloves={}, side=None, received=0.0)
+    (reading,) = read_manus(message.encode(), gloves={}, side=None)
     np.testing.assert_allclose(reading.frame.T_world_wrist, POSE)
     assert reading.frame.world == "vive"
     bare = json.dumps({"side": "right", "nodes": nodes}).encode()
-    (reading,) = read_manus(bare, gloves={}, side=None, received=0.0)
+    (reading,) = read_manus(bare, gloves={}, side=None)
     assert reading.frame.T_world_wrist is None
 
 

@@ -209,12 +209,12 @@ def test_the_wrist_comes_from_the_tracker_while_it_is_fresh():
 
 def test_a_message_may_be_the_pose_of_a_tracker():
     message = {"side": "left", "stamp": 2.5, "wrist": [1, 2, 3, 1, 0, 0, 0], "world": "room"}
-    (reading,) = read_payload(json.dumps(message).encode(), side=None, received=1.0)
+    (reading,) = read_payload(json.dumps(message).encode(), None)
     frame = reading.frame
     assert (frame.side, frame.stamp, frame.world, frame.valid.any()) == ("left", 2.5, "room", False)
     assert frame.T_world_wrist.tolist() == message["wrist"]
     with pytest.raises(RecordingError, match="has neither 'landmarks' nor 'wrist'; it has 'side'"):
-        read_payload(b'{"side": "left"}', side=None, received=1.0)
+        read_payload(b'{"side": "left"}', None)
 
 
 def test_a_run_uses_the_places_of_both_hands_and_the_gaps_of_one(tmp_path, caplog):

@@ -67,7 +67,7 @@ def packet(*actors: dict[str, Any], packed: bool = True, **options: Any) -> byte
 
 
 def hands(data: bytes, name: str = "") -> dict[str, HandFrame]:
-    return {frame.side: frame for frame in read_scene(data, name, 7.0)[0]}
+    return {frame.side: frame for frame in read_scene(data, name)}
 
 
 @pytest.mark.parametrize("packed", [True, False], ids=["lz4", "plain"])
@@ -150,9 +150,7 @@ def test_an_actor_is_chosen_by_name():
 
 
 def test_a_scene_without_a_stamp_has_the_time_of_receipt():
-    frames, stamped = read_scene(packet(stamp=None), "", 7.0)
-    assert [frame.stamp for frame in frames] == [7.0, 7.0]
-    assert not stamped
+    assert [frame.stamp for frame in read_scene(packet(stamp=None), "")] == [None, None]
 
 
 def in_centimetres() -> bytes:
@@ -197,10 +195,10 @@ def with_joint(value: Any) -> bytes:
 )
 def test_a_damaged_message_says_what_is_wrong(data, words):
     with pytest.raises(RecordingError, match=words):
-        read_scene(data, "", 0.0)
+        read_scene(data, "")
 
 
 def test_damaged_bytes_raise_only_errors_of_this_program():
     for mutants in (fuzzing.damaged_bytes(packet()), fuzzing.damaged_json(packet(packed=False))):
-        refused, _ = fuzzing.outcomes(mutants, 50, lambda data: read_scene(data, "", 0.0))
+        refused, _ = fuzzing.outcomes(mutants, 50, lambda data: read_scene(data, ""))
         assert len(refused) > 10

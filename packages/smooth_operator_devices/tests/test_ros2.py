@@ -581,7 +581,7 @@ def test_a_pose_alone_is_that_of_a_tracker():
     pose = ros.Pose(ros.Point(1.0, 2.0, 3.0), ros.Quaternion(0.0, 0.0, 1.0, 0.0))
     (reading,) = reader.read("/t/left", ros.PoseStamped(ros.Header(ros.Time(50), "m"), pose), 1.0)
     frame = reading.frame
-    assert (frame.side, frame.stamp, frame.world, reading.stamped) == ("left", 50.0, "m", True)
+    assert (frame.side, frame.stamp, frame.world) == ("left", 50.0, "m")
     assert frame.T_world_wrist.tolist() == [1, 2, 3, 0, 0, 0, 1]
     assert not frame.valid.any()
 

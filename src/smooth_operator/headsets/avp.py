@@ -138,9 +138,9 @@ def _message_class() -> tuple[Any, type[Exception]]:
     return message_factory.GetMessageClass(update), message.DecodeError
 
 
-def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
-    """Decodes a ``HandUpdate`` and returns the hands that the headset saw, left hand first. Raises
-    RecordingError if the message is damaged, or if a hand has too few joints."""
+def read_hands(data: bytes) -> tuple[HandFrame, ...]:
+    """Decodes a ``HandUpdate`` and returns the hands that the headset saw, left hand first, without
+    stamps. Raises RecordingError if the message is damaged, or if a hand has too few joints."""
     if len(data) > MOST_BYTES:
         raise RecordingError(f"a message of {len(data)} bytes is too long; at most {MOST_BYTES}")
     update, damaged = _message_class()
@@ -151,18 +151,18 @@ def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]
             "the message is not a HandUpdate of Tracking Streamer, or is damaged or "
             f"truncated: {error}"
         ) from error
-    frames = (_hand(read.left_hand, "left", stamp), _hand(read.right_hand, "right", stamp))
+    frames = (_hand(read.left_hand, "left"), _hand(read.right_hand, "right"))
     return tuple(frame for frame in frames if frame is not None)
 
 
-def _hand(hand: Any, side: Side, stamp: float | None) -> HandFrame | None:
+def _hand(hand: Any, side: Side) -> HandFrame | None:
     joints = hand.skeleton.jointMatrices
     if not joints:
         return None
     if len(joints) > _MOST_JOINTS:
         raise RecordingError(f"a hand must have 25 or 27 joints, not {len(joints)}")
     wrist = _matrix(hand.wristMatrix) if hand.HasField("wristMatrix") else np.full((4, 4), np.nan)
-    return avp_frame(np.stack([_matrix(joint) for joint in joints]), wrist, side, stamp)
+    return avp_frame(np.stack([_matrix(joint) for joint in joints]), wrist, side, None)
 
 
 def _matrix(message: Any) -> np.ndarray:

@@ -32,7 +32,6 @@ right-handed. The axes ``unity`` are left-handed.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -94,21 +93,9 @@ def _size(buffer: bytes | bytearray) -> int | None:
     return size
 
 
-@dataclass(frozen=True, eq=False)
-class PicoHands:
-    """Hands in a packet; empty for a packet that contains no hands.
-
-    Attributes:
-        frames: visible hands, left first, with the stamp ``stamp``.
-        stamp: Unix time on the headset's clock [s], or None.
-    """
-
-    frames: tuple[HandFrame, ...] = ()
-    stamp: float | None = None
-
-
-def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
-    """Reads a packet. Raises RecordingError if the data are not a packet, or if its hands can't be
+def read_packet(data: bytes, axes: Axes = "openxr") -> tuple[HandFrame, ...]:
+    """Reads the visible hands of a packet, left first. Their stamps are Unix times on the headset's
+    clock, or None. Raises RecordingError if the data are not a packet, or if its hands can't be
     read."""
     size = _size(data) if data else None
     if size is None or size != len(data):
@@ -117,10 +104,10 @@ def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
             f"{data[:8]!r} ({len(data)} bytes); is another program sending to this port?"
         )
     if data[1] != FUNCTION:
-        return PicoHands()
+        return ()
     message = _json(data[_HEADER.size : -_TAIL.size])
     if not isinstance(message, dict) or message.get("functionName") != "Tracking":
-        return PicoHands()
+        return ()
     value = message.get("value")
     tracking = _json(value.encode()) if isinstance(value, str) else value
     if not isinstance(tracking, dict):
@@ -130,7 +117,7 @@ def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
     if not isinstance(hands, dict):
         raise RecordingError(f"'Hand' must be an object, not {brief(hands)}")
     frames = (_hand(hands[key], key, side, stamp, axes) for key, side in _SIDES if key in hands)
-    return PicoHands(tuple(frame for frame in frames if frame is not None), stamp)
+    return tuple(frame for frame in frames if frame is not None)
 
 
 def _json(data: bytes) -> Any:

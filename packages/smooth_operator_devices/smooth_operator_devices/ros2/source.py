@@ -14,7 +14,13 @@ from smooth_operator.errors import ConfigError, RecordingError, SourceError
 from smooth_operator.io.landmark_order import layout_order
 from smooth_operator.teleop.sources.inboxes import NEWEST, Inbox
 from smooth_operator.teleop.sources.inboxes import Message as Received
-from smooth_operator.teleop.sources.payload import Reading, hand_frame, pose_frame, read_payload
+from smooth_operator.teleop.sources.payload import (
+    Forms,
+    Reading,
+    hand_frame,
+    pose_frame,
+    read_payload,
+)
 from smooth_operator.teleop.sources.programs import glove_sides, read_glove, read_manus
 from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource, only_side
 from smooth_operator.types import HandFrame, Side
@@ -96,7 +102,7 @@ class HandPoseReader:
             stamp = seconds_of(message.header.stamp)
             if (tracked := self._topics.get(topic)) is not None:
                 world = message.header.frame_id or "world"
-                return (Reading(pose_frame(pose, stamp or received, tracked, world), bool(stamp)),)
+                return (Reading(pose_frame(pose, stamp or None, tracked, world)),)
             side = self._wrist_topics[topic]
             self._wrists[side] = _WristPose(pose, message.header.frame_id, stamp, received)
             return ()
@@ -104,33 +110,30 @@ class HandPoseReader:
         if isinstance(message, PoseArray):
             if not message.poses:  # no hand is visible
                 return ()
-            reading = self._pose_array(message, side_of, received)
-            return (replace(reading, frame=self._with_wrist(reading, message.header, received)),)
+            frame = self._pose_array(message, side_of)
+            return (Reading(self._with_wrist(frame, message.header, received)),)
         if isinstance(message, String):
             data = message.data.encode()
             if any(word in data for word in _GLOVE_WORDS):
-                return read_manus(data, gloves=self._gloves, side=side_of, received=received)
-            return read_payload(data, side=side_of, received=received, layout=self._layout)
+                return read_manus(data, gloves=self._gloves, side=side_of)
+            return read_payload(data, side_of, Forms(layout=self._layout))
         assert isinstance(message, ManusGlove)
-        return (read_glove(_as_json(message), self._gloves, side_of, received),)
+        return (read_glove(_as_json(message), self._gloves, side_of),)
 
-    def _pose_array(self, message: Message, side: Side | None, received: float) -> Reading:
+    def _pose_array(self, message: Message, side: Side | None) -> HandFrame:
         assert side is not None  # the source has a topic for each hand
         rows = pose_rows(message.poses)
         turned = not np.allclose(rows[:, 3:], (1.0, 0.0, 0.0, 0.0))  # else none is known
-        stamp = seconds_of(message.header.stamp)
-        frame = hand_frame(
+        return hand_frame(
             rows[:, :3],
-            stamp=stamp if stamp else received,
+            stamp=seconds_of(message.header.stamp) or None,
             side=side,
             orientations=rows[:, 3:] if turned else None,
             layout=self._layout,
         )
-        return Reading(frame, stamped=bool(stamp))
 
-    def _with_wrist(self, reading: Reading, header: Message, received: float) -> HandFrame:
+    def _with_wrist(self, frame: HandFrame, header: Message, received: float) -> HandFrame:
         """Add the pose of the wrist in the world to a frame."""
-        frame = reading.frame
         assert frame.valid is not None
         points = np.where(frame.valid[:, None], frame.landmarks, np.nan)
         world: str | None = None
@@ -141,7 +144,7 @@ class HandPoseReader:
         elif self._frame == "wrist" and frame.side in self._wrist_topics.values():
             wrist = self._wrists.get(frame.side)
             world = "world" if wrist is None else wrist.world or "world"
-            if wrist is not None and _matches(wrist, reading, received):
+            if wrist is not None and _matches(wrist, frame, received):
                 moved = wrist.pose[:3] + poses.rotate(wrist.pose[3:], points)
                 pose = poses.wrist_from_landmarks(moved, frame.side)
         if world is None:
@@ -149,9 +152,9 @@ class HandPoseReader:
         return replace(frame, T_world_wrist=pose, world=world)
 
 
-def _matches(wrist: _WristPose, reading: Reading, received: float) -> bool:
-    if reading.stamped and wrist.stamp:
-        return abs(reading.frame.time - wrist.stamp) <= MATCH_S
+def _matches(wrist: _WristPose, frame: HandFrame, received: float) -> bool:
+    if frame.stamp is not None and wrist.stamp:
+        return abs(frame.stamp - wrist.stamp) <= MATCH_S
     return abs(received - wrist.received) <= MATCH_S
 
 

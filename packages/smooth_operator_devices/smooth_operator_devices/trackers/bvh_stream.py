@@ -135,7 +135,7 @@ class BvhStream(StreamSource):
                 form, skip = forms[len(values)]
                 hands = form.recordings(values[None, skip:], np.zeros(1), "bvh")
                 for side in self.sides:
-                    frame = replace(hands[side][0], stamp=received)
+                    frame = replace(hands[side][0], stamp=None)
                     assert frame.valid is not None  # filled in by HandFrame
                     check_palm(frame.landmarks, frame.valid, "the frame")
                     if repeats.new(frame) is not None:

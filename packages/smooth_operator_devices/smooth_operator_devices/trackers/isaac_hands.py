@@ -107,12 +107,12 @@ class IsaacHands(PolledSource):
         """Starts the session."""
         return SessionInbox(tuple(self.sides), self.rate, self.haptics)
 
-    def frame(self, message: Message, received: float) -> HandFrame:
+    def frame(self, message: Message) -> HandFrame:
         """Hand with 26 joints; see ``PolledSource``."""
         side, positions, orientations, valid = message
         poses = np.concatenate([positions, orientations], axis=1)
         flags = np.where(valid, ORIENTATION_VALID | POSITION_VALID, 0)
-        return openxr_frame(poses, flags, side, received, world=WORLD, where=f"the {side} hand")
+        return openxr_frame(poses, flags, side, None, world=WORLD, where=f"the {side} hand")
 
 
 class SessionInbox(PolledInbox):

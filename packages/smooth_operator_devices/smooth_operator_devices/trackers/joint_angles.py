@@ -126,7 +126,7 @@ class JointAngles(StreamSource):
         if self.topic is None:
             side = only_side(self.side)
             return lambda message, received: [
-                read_hand(hand, self.unit, side, anatomy, received)
+                read_hand(hand, self.unit, side, anatomy)
                 for hand in _hands(message[-1] if self.address else message[0])
             ]
         topics = self._topics()
@@ -138,7 +138,7 @@ class JointAngles(StreamSource):
             stamp = state.header.stamp.sec + state.header.stamp.nanosec / 1e9
             angles = dict(zip(state.name, state.position, strict=False))
             hand = {"angles": angles, **({"stamp": stamp} if stamp else {})}
-            return [read_hand(hand, self.unit, topics[topic], anatomy, received)]
+            return [read_hand(hand, self.unit, topics[topic], anatomy)]
 
         return read
 
@@ -154,30 +154,29 @@ def _hands(data: bytes) -> list[Mapping[str, Any]]:
 
 
 def read_hand(
-    message: Mapping[str, Any], unit: Unit, side: Side | None, anatomy: HandAnatomy, received: float
+    message: Mapping[str, Any], unit: Unit, side: Side | None, anatomy: HandAnatomy
 ) -> Reading:
     """Hand of an object with ``angles``.
 
     Args:
         side: side of the hand, for an object without a side.
-        received: time of receipt, which is the stamp of an object without a stamp [s].
 
     Raises:
         RecordingError: an angle has an unknown name, is not a number, or is too large for the unit.
     """
-    stamp, of_side = read_stamp(message), read_side(message.get("side"), side)
+    of_side = read_side(message.get("side"), side)
     poses = pose_hand(anatomy, _angles(message.get("angles"), unit)[None])
     if of_side == "left":
         poses = mirror(poses)
     frame = hand_frame(
         poses.landmarks[0],
-        stamp=received if stamp is None else stamp,
+        stamp=read_stamp(message),
         side=of_side,
         orientations=poses.orientations[0],
         metacarpals=poses.metacarpals[0],
         **read_wrist(message),
     )
-    return Reading(frame, stamp is not None, read_session(message))
+    return Reading(frame, read_session(message))
 
 
 def _angles(given: Any, unit: Unit) -> np.ndarray:

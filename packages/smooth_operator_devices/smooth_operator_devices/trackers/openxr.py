@@ -53,12 +53,12 @@ class OpenXrSource(PolledSource):
         roles: dict[Side, str] = {"right": self.right, "left": self.left}
         return TrackerInbox({side: roles[side] for side in self.sides}, self.rate)
 
-    def frame(self, message: Message, received: float) -> HandFrame:
+    def frame(self, message: Message) -> HandFrame:
         """Hand with 26 joints, or the pose of a tracker; see ``PolledSource``."""
         side, data = message
         if self.track == "trackers":
             x, y, z, *xyz, w = data
-            return pose_frame(to_ours([x, y, z, w, *xyz]), received, side, WORLD)
+            return pose_frame(to_ours([x, y, z, w, *xyz]), None, side, WORLD)
         poses = np.concatenate([data["place"], data["turn"]], axis=1)
         where = f"the {side} hand"
-        return openxr_frame(poses, data["flags"], side, received, world=WORLD, where=where)
+        return openxr_frame(poses, data["flags"], side, None, world=WORLD, where=where)

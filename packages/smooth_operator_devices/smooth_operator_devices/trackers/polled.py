@@ -38,15 +38,15 @@ class PolledSource(StreamSource):
             raise ConfigError(f"rate must be 1 to 1000 Hz, not {self.rate:g}")
 
     @abstractmethod
-    def frame(self, message: Message, received: float) -> HandFrame:
-        """Hand of a message of the inbox, with its time of receipt as the stamp [s]."""
+    def frame(self, message: Message) -> HandFrame:
+        """Hand of a message of the inbox, without a stamp."""
 
     def reader(self) -> Reader:
         """Reads the hand of a message."""
         repeats = Repeats()
 
         def read(message: Message, received: float) -> Sequence[Reading]:
-            frame = self.frame(message, received)
+            frame = self.frame(message)
             return () if repeats.new(frame) is None else (Reading(frame),)
 
         return read

@@ -103,20 +103,19 @@ class RokokoStream(StreamSource):
 
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, host = message
-            frames, stamped = read_scene(data, self.actor, received)
+            frames = read_scene(data, self.actor)
             sender.check(host, received)
-            return [Reading(frame, stamped) for frame in frames if repeats.new(frame) is not None]
+            return [Reading(frame) for frame in frames if repeats.new(frame) is not None]
 
         return read
 
 
-def read_scene(data: bytes, actor: str, received: float) -> tuple[list[HandFrame], bool]:
-    """Hands of an actor in a datagram, and True if they have the scene's timestamp.
+def read_scene(data: bytes, actor: str) -> list[HandFrame]:
+    """Hands of an actor in a datagram, with the scene's timestamp if it has one.
 
     Args:
         data: the datagram.
         actor: name of the actor; empty for the first one.
-        received: time of receipt [s], the stamp of a scene without one.
 
     Raises:
         RecordingError: the datagram is damaged, of another version, or has no such actor.
@@ -142,7 +141,6 @@ def read_scene(data: bytes, actor: str, received: float) -> tuple[list[HandFrame
             f"no actor {actor!r}, but {names}" if people else "the scene has no actor"
         )
     stamp = read_stamp(scene)
-    stamped = stamp is not None
     meta = _object(chosen[0].get("meta", {}), "'meta'")
     body = _object(chosen[0].get("body") or {}, "'body'")
     frames = []
@@ -151,13 +149,16 @@ def read_scene(data: bytes, actor: str, received: float) -> tuple[list[HandFrame
             elbow = _position(body.get(f"{side}LowerArm"), f"{side}LowerArm")
             if meta.get("hasBody") is not True:
                 elbow[:] = np.nan
-            at = stamp if stamp is not None else received
-            frames.append(_hand(body, side, joints, elbow, at))
-    return frames, stamped
+            frames.append(_hand(body, side, joints, elbow, stamp))
+    return frames
 
 
 def _hand(
-    body: Mapping[str, Any], side: Side, joints: Sequence[str], elbow: np.ndarray, stamp: float
+    body: Mapping[str, Any],
+    side: Side,
+    joints: Sequence[str],
+    elbow: np.ndarray,
+    stamp: float | None,
 ) -> HandFrame:
     points = np.stack([_position(body.get(name), name) for name in joints])
     landmarks = points_to_ours(points, WORLD_AXES["unity"])

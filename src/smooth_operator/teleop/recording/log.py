@@ -164,8 +164,7 @@ class LogWriter:
         world = None if wrist is None else frame.world
         message = _message(self._classes[HAND], stamp, frame, wrist=wrist, world=world)
         at = _nanoseconds(stamp)
-        self._foxglove.hand(frame, at)
-        self._append(at, (HAND, message))
+        self._append(at, (HAND, message), *self._foxglove.hand(frame, at))
         self._hand_stamp = stamp
         self._side = frame.side
 
@@ -229,11 +228,11 @@ class LogWriter:
         message = new[COMMAND](stamp=stamp, names=names, positions=positions.tolist())
         messages.append((COMMAND, message))
         at = _nanoseconds(stamp)
-        if wrist is not None:
-            self._foxglove.wrist(wrist, at)
-        self._foxglove.command(names, positions, at)
         self._append(at, *messages)
         self._names = names
+        if wrist is not None:
+            self._append(at, *self._foxglove.wrist(wrist, at))
+        self._append(at, *self._foxglove.command(names, positions, at))
 
     def write_state(self, state: HandState) -> None:
         """Appends a measured state of the robot hand.
@@ -379,8 +378,6 @@ class LogWriter:
 
     def _end_chunk(self, *, sync: bool = False) -> None:
         assert self._stream is not None
-        for topic, at, data in self._foxglove.take():
-            self._add(at, (topic, data))
         self._writer.flush()
         self._pending = 0
         if sync:

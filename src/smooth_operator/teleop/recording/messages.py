@@ -11,12 +11,11 @@ MissingExtraError: on import, if a library of the ``teleop`` extra is missing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from itertools import groupby
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import mujoco
 import numpy as np
@@ -200,23 +199,14 @@ _LOOKS: Final = {
     ROBOT_SCENE: ("robot hand", ROBOT_FRAME, (0.0, 0.45, 0.7, 1.0)),
 }
 """Topic -> name, frame and colour (red, green, blue, opacity) of the skeleton that it draws."""
-_MOST_SCENES: Final = 64
 _THICKNESS: Final = 0.004  # [m]
 _LINE_LIST: Final = 2
-
-
-class Message(NamedTuple):
-    """An encoded message: its topic, its time [ns] and its bytes."""
-
-    topic: str
-    at: int
-    data: bytes
 
 
 class FoxgloveMessages:
     """Builds Foxglove's messages for one hand and one robot, at most ``RATE_HZ`` per second.
 
-    It collects frames and commands, and computes their skeletons in one call.
+    Each method returns the topics and messages for one moment.
 
     Args:
         keypoints: computes the robot's landmarks from its joint positions; None draws no robot.
@@ -225,93 +215,54 @@ class FoxgloveMessages:
     def __init__(self, keypoints: Keypoints | None) -> None:
         self._keypoints = keypoints
         self._due: dict[str, int] = {}
-        self._transform: Any = None  # from the robot's frame to the tracker's
-        self._joints: Any = None
-        self._messages: list[Message] = []
-        self._hands: list[tuple[int, np.ndarray, bytes]] = []  # times, landmarks, valid masks
-        self._robot: list[tuple[int, np.ndarray]] = []  # times and joint positions
-        self._scenes: dict[tuple[str, bytes], _Scene] = {}
+        self._place: Float[np.ndarray, "3"] | None = None  # of the tracker in the robot's frame
 
-    def hand(self, frame: HandFrame, at: int) -> None:
-        """Adds a hand frame, if the rate allows.
+    def hand(self, frame: HandFrame, at: int) -> list[tuple[str, Any]]:
+        """Returns the messages for a hand frame.
 
         Args:
             at: time of the frame [ns].
         """
         assert frame.valid is not None  # filled in by HandFrame
-        wrist = frame.T_world_wrist
+        messages, wrist = [], frame.T_world_wrist
         finite = wrist is not None and all(map(math.isfinite, wrist.tolist()))
         if wrist is not None and finite and self._is_due(HUMAN_WRIST, at):
-            self._add_pose(HUMAN_WRIST, at, wrist, frame.world or "world")
-        if not any(frame.valid.tolist()) or not self._is_due(HAND_SCENE, at):
-            return
-        transform = self._transform
-        if transform is None:
-            wrist_known = frame.valid[WRIST_POINT]
-            place = _OFFSET - frame.landmarks[WRIST_POINT] if wrist_known else _OFFSET
-            transform = _frame_transform(place)
-            self._transform = transform if wrist_known else None
-        _set_time(transform.transforms[0].timestamp, at)
-        self._add(FRAMES, at, transform)
-        self._hands.append((at, frame.landmarks.copy(), frame.valid.tobytes()))
+            messages.append(_pose_message(HUMAN_WRIST, at, wrist, frame.world or "world"))
+        if any(frame.valid.tolist()) and self._is_due(HAND_SCENE, at):
+            place = self._place
+            if place is None and frame.valid[WRIST_POINT]:
+                place = self._place = _OFFSET - frame.landmarks[WRIST_POINT]
+            messages.append(_frame_message(at, _OFFSET if place is None else place))
+            messages.append(_scene_message(HAND_SCENE, at, frame.landmarks, frame.valid))
+        return messages
 
-    def wrist(self, wrist: WristCommand, at: int) -> None:
-        """Adds a wrist command, if the rate allows."""
-        if self._is_due(WRIST_TARGET, at):
-            self._add_pose(WRIST_TARGET, at, wrist.pose, wrist.world)
+    def wrist(self, wrist: WristCommand, at: int) -> list[tuple[str, Any]]:
+        """Returns the messages for a wrist command."""
+        if not self._is_due(WRIST_TARGET, at):
+            return []
+        return [_pose_message(WRIST_TARGET, at, wrist.pose, wrist.world)]
 
-    def command(self, names: tuple[str, ...], positions: Float[np.ndarray, " n"], at: int) -> None:
-        """Adds a command, if the rate allows.
+    def command(
+        self, names: tuple[str, ...], positions: Float[np.ndarray, " n"], at: int
+    ) -> list[tuple[str, Any]]:
+        """Returns the messages for a command.
 
         Args:
             positions: joint positions [rad].
             at: its time [ns].
         """
         if not self._is_due(JOINTS, at):
-            return
-        if self._joints is None:
-            self._joints = message_class(FOXGLOVE[JOINTS])(joints=[{"name": n} for n in names])
-        _set_time(self._joints.timestamp, at)
-        values = positions.tolist()
-        for joint, position in zip(self._joints.joints, values, strict=True):
-            if math.isfinite(position):
-                joint.position = position
-            else:
-                joint.ClearField("position")
-        self._add(JOINTS, at, self._joints)
-        if self._keypoints is not None and all(map(math.isfinite, values)):
-            self._robot.append((at, positions.copy()))
-
-    def take(self) -> list[Message]:
-        """Returns the messages since the last call by topic, in order of time."""
-        hands, self._hands = self._hands, []
-        robot, self._robot = self._robot, []  # first, so that an error is raised once
-        for valid, group in groupby(hands, lambda hand: hand[2]):
-            times, points, _ = zip(*group, strict=True)
-            self._messages += self._scene(HAND_SCENE, valid).messages(times, np.array(points))
-        if robot and self._keypoints is not None:
-            times, positions = zip(*robot, strict=True)
-            landmarks = self._keypoints(np.array(positions))
-            valid = np.asarray(np.isfinite(landmarks[0]).all(axis=1)).tobytes()  # same for all
-            self._messages += self._scene(ROBOT_SCENE, valid).messages(times, landmarks)
-        messages, self._messages = self._messages, []
+            return []
+        joints = [
+            {"name": name, **({"position": q} if math.isfinite(q) else {})}
+            for name, q in zip(names, positions.tolist(), strict=True)
+        ]
+        messages = [_message(JOINTS, timestamp=_time(at), joints=joints)]
+        if self._keypoints is not None and np.isfinite(positions).all():
+            (landmarks,) = self._keypoints(positions[None])
+            valid = np.isfinite(landmarks).all(axis=1)
+            messages.append(_scene_message(ROBOT_SCENE, at, landmarks, valid))
         return messages
-
-    def _scene(self, topic: str, valid: bytes) -> _Scene:
-        scene = self._scenes.get((topic, valid))
-        if scene is None:
-            if len(self._scenes) >= _MOST_SCENES:
-                self._scenes.clear()
-            scene = self._scenes[topic, valid] = _Scene(topic, valid)
-        return scene
-
-    def _add(self, topic: str, at: int, message: Any) -> None:
-        self._messages.append(Message(topic, at, message.SerializeToString()))
-
-    def _add_pose(self, topic: str, at: int, pose: Float[np.ndarray, "7"], frame: str) -> None:
-        message = message_class(FOXGLOVE[topic])(frame_id=frame, pose=_pose(pose))
-        _set_time(message.timestamp, at)
-        self._add(topic, at, message)
 
     def _is_due(self, topic: str, at: int) -> bool:
         due = self._due.get(topic, at)
@@ -323,52 +274,46 @@ class FoxgloveMessages:
         return True
 
 
-class _Scene:
-    """Skeleton with a line for each bone whose two ends are valid; its message is reused."""
-
-    def __init__(self, topic: str, valid: bytes) -> None:
-        self._topic = topic
-        name, frame, colour = _LOOKS[topic]
-        self._valid = np.frombuffer(valid, bool)
-        place = np.cumsum(self._valid) - 1
-        ends = [place[i] for bone in BONES if self._valid[list(bone)].all() for i in bone]
-        line = {
-            "type": _LINE_LIST,
-            "pose": _pose(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
-            "thickness": _THICKNESS,
-            "points": [{}] * int(self._valid.sum()),
-            "color": dict(zip("rgba", colour, strict=True)),
-            "indices": ends,
-        }
-        entity = {"frame_id": frame, "id": name, "frame_locked": True, "lines": [line]}
-        self._message = message_class(FOXGLOVE[HAND_SCENE])(entities=[entity])
-        self._timestamp = self._message.entities[0].timestamp
-        self._points = list(self._message.entities[0].lines[0].points)
-
-    def messages(
-        self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
-    ) -> Iterator[Message]:
-        """Yields messages of the skeleton at some times [ns]."""
-        rows = landmarks[:, self._valid].astype(np.float32)  # exact enough, and compresses better
-        for at, row in zip(times, rows.tolist(), strict=True):
-            _set_time(self._timestamp, at)
-            for point, (x, y, z) in zip(self._points, row, strict=True):
-                point.x, point.y, point.z = x, y, z
-            yield Message(self._topic, at, self._message.SerializeToString())
+def _message(topic: str, **fields: Any) -> tuple[str, Any]:
+    return topic, message_class(FOXGLOVE[topic])(**fields)
 
 
-def _set_time(timestamp: Any, at: int) -> None:
-    timestamp.seconds, timestamp.nanos = divmod(at, 1_000_000_000)
+def _time(at: int) -> dict[str, int]:
+    return dict(zip(("seconds", "nanos"), divmod(at, 1_000_000_000), strict=True))
 
 
-def _frame_transform(translation: Float[np.ndarray, "3"]) -> Any:
+def _pose_message(topic: str, at: int, pose: Float[np.ndarray, "7"], frame: str) -> tuple[str, Any]:
+    return _message(topic, timestamp=_time(at), frame_id=frame, pose=_pose(pose))
+
+
+def _frame_message(at: int, translation: Float[np.ndarray, "3"]) -> tuple[str, Any]:
     transform = {
+        "timestamp": _time(at),
         "parent_frame_id": ROBOT_FRAME,
         "child_frame_id": TRACKER_FRAME,
         "translation": dict(zip("xyz", translation.tolist(), strict=True)),
         "rotation": {"w": 1.0},
     }
-    return message_class(FOXGLOVE[FRAMES])(transforms=[transform])
+    return _message(FRAMES, transforms=[transform])
+
+
+def _scene_message(
+    topic: str, at: int, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"]
+) -> tuple[str, Any]:
+    """Skeleton with a line for each bone whose two ends are valid."""
+    name, frame, colour = _LOOKS[topic]
+    place = np.cumsum(valid) - 1
+    rows = landmarks[valid].astype(np.float32)  # exact enough, and compresses better
+    line = {
+        "type": _LINE_LIST,
+        "pose": _pose(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
+        "thickness": _THICKNESS,
+        "points": [dict(zip("xyz", row, strict=True)) for row in rows.tolist()],
+        "color": dict(zip("rgba", colour, strict=True)),
+        "indices": [place[i] for bone in BONES if valid[list(bone)].all() for i in bone],
+    }
+    head = {"timestamp": _time(at), "frame_id": frame, "id": name, "frame_locked": True}
+    return _message(topic, entities=[{**head, "lines": [line]}])
 
 
 def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:

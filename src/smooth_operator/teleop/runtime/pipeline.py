@@ -68,29 +68,6 @@ def implausible(frame: HandFrame) -> str | None:
     return None
 
 
-class SessionCheck:
-    """Checks the side and the landmark order of a tracker's frames (``HandCheck``).
-
-    The check starts again each time the tracker is restarted.
-
-    Args:
-        side: side of the robot hand.
-    """
-
-    def __init__(self, side: Side) -> None:
-        self._side = side
-        self._session: int | None = None
-        self._check = HandCheck(side)
-
-    def doubt(self, arrival: Arrival) -> Doubt | None:
-        """Reason to distrust the frames so far, including this one; None if there is none."""
-        if arrival.session != self._session:
-            self._session, self._check = arrival.session, HandCheck(self._side)
-        frame = arrival.frame
-        assert frame.valid is not None  # filled in by HandFrame
-        return self._check.see(frame.landmarks, frame.valid, arrival.received)
-
-
 @dataclass
 class Supervisor:
     """State machine for the mode of one hand, driven by its usable frames and the operator's
@@ -100,20 +77,22 @@ class Supervisor:
         config: the policies.
         mode: mode of the loop for the hand.
         refused: reason -> number of refused frames.
+        paused: True while the clutch is released, also in an emergency stop.
+        stopped: True while an emergency stop holds the robot.
         compiling: True while the method is compiled: the robot holds, and frames are only shown.
     """
 
     config: SafetyConfig
     mode: Mode = Mode.WAITING
     refused: dict[str, int] = field(default_factory=dict)
+    paused: bool = False
+    stopped: bool = False
     compiling: bool = False
     _held: bool = False
     _last_good: float | None = None
     _newest: tuple[int, float] | None = None
     _blend_start: float = 0.0
     _blend_length: float = 0.0
-    _paused: bool = False
-    _stopped: bool = False
 
     def admits(self, arrival: Arrival, now: float) -> str | None:
         """Reason to refuse a frame that is not newer than the last one; None if it is newer."""
@@ -176,39 +155,29 @@ class Supervisor:
 
     def pause(self) -> None:
         """Releases the clutch."""
-        self._paused = True
+        self.paused = True
 
     def resume(self) -> None:
         """Engages the clutch: the robot moves to the pose of the operator's hand."""
-        self._paused = False
+        self.paused = False
 
     def stop(self) -> None:
         """Starts an emergency stop, which lasts until ``release`` is called."""
-        self._stopped = True
+        self.stopped = True
 
     def release(self) -> None:
         """Ends an emergency stop; the operator takes over as after a pause."""
-        self._stopped = False
-
-    @property
-    def stopped(self) -> bool:
-        """True while an emergency stop holds the robot; safe from any thread."""
-        return self._stopped
-
-    @property
-    def paused(self) -> bool:
-        """True while the clutch is released, also in an emergency stop; safe from any thread."""
-        return self._paused
+        self.stopped = False
 
     @property
     def listens(self) -> bool:
         """True if new frames move the robot."""
-        return not (self._paused or self._stopped or self.compiling)
+        return not (self.paused or self.stopped or self.compiling)
 
     def _mode(self, now: float) -> Mode:
-        if self._stopped:
+        if self.stopped:
             return Mode.STOPPED
-        if self._paused:
+        if self.paused:
             return Mode.PAUSED
         if self.mode in (Mode.STOPPED, Mode.PAUSED):
             # The hand holds until a frame comes, and then blends to it.
@@ -253,20 +222,6 @@ class Answer:
     stages: dict[str, float]
 
 
-@dataclass(frozen=True)
-class Driven:
-    """A retargeter and its state, which are replaced together so that other threads never see a
-    mixture.
-
-    Attributes:
-        retargeter: method and hand.
-        state: state of the method after the last frame.
-    """
-
-    retargeter: Retargeter
-    state: RetargetState
-
-
 class HandPipeline:
     """Turns frames of one human hand into commands for one robot hand.
 
@@ -300,8 +255,8 @@ class HandPipeline:
         compiling: bool = False,
         wrist_joints: bool = False,
     ) -> None:
-        # Replaced as a whole and never changed: a page reads it while the loop switches.
-        self._driven = Driven(retargeter, retargeter.init())
+        # Method and state are replaced together: a page reads them while the loop switches.
+        self._driven: tuple[Retargeter, RetargetState] = retargeter, retargeter.init()
         self.arm = arm
         self.driver = driver
         self.config = config
@@ -315,7 +270,8 @@ class HandPipeline:
         self._target = self.limiter.q  # last target from the operator
         self._from = self.limiter.q  # start of a blend
         self._delay = TrackerDelay()
-        self._session = SessionCheck(self.side)
+        self._check = HandCheck(self.side)
+        self._session: int | None = None  # the one that it checks
         self._tips = MissingTips()
         self._filled: tuple[str, ...] = ()  # fingers of the last frame
         self.filled: Counter[str] = Counter()
@@ -332,7 +288,7 @@ class HandPipeline:
     @property
     def retargeter(self) -> Retargeter:
         """The retargeter, with its method and hand. Safe from any thread."""
-        return self._driven.retargeter
+        return self._driven[0]
 
     @property
     def mode_now(self) -> Mode:
@@ -344,7 +300,7 @@ class HandPipeline:
 
         The robot moves on from its last command within the limits.
         """
-        self._driven, self.driver = Driven(retargeter, retargeter.init()), driver
+        self._driven, self.driver = (retargeter, retargeter.init()), driver
         self.note(SWITCHED)
         self.supervisor.restart_blend(self._last)
         self._from = self.limiter.q
@@ -377,11 +333,11 @@ class HandPipeline:
 
         Safe from any thread.
         """
-        driven = self._driven
-        latched = driven.retargeter.method.latched(driven.state.method)
+        retargeter, state = self._driven
+        latched = retargeter.method.latched(state.method)
         if latched is None:
             return None
-        fingers = driven.retargeter.hand.fingers[1:]
+        fingers = retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
 
     @property
@@ -391,8 +347,8 @@ class HandPipeline:
 
         Safe from any thread.
         """
-        driven = self._driven
-        return driven.retargeter.pinch_gaps(driven.state)
+        retargeter, state = self._driven
+        return retargeter.pinch_gaps(state)
 
     @property
     def fingertip_targets(self) -> np.ndarray | None:
@@ -400,8 +356,8 @@ class HandPipeline:
 
         Safe from any thread.
         """
-        driven = self._driven
-        return driven.retargeter.fingertip_targets(driven.state)
+        retargeter, state = self._driven
+        return retargeter.fingertip_targets(state)
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """Computes the next command: calls ``admit``, ``solve`` and ``command`` in turn.
@@ -423,7 +379,7 @@ class HandPipeline:
             why = self.supervisor.admits(arrival, now)
         else:
             self.supervisor.refuse(why)
-        if why is None and (doubt := self._session.doubt(arrival)) is not None:
+        if why is None and (doubt := self._doubt(arrival)) is not None:
             why = self.supervisor.refuse(advice(doubt))
         if why is not None:
             self.note(f"frame refused: {why}")
@@ -448,8 +404,7 @@ class HandPipeline:
         This may take long and changes nothing, so another thread may call ``command`` meanwhile.
         """
         start = self._clock()
-        retargeter, frame = self.retargeter, self._frame or arrival.frame
-        state = self._driven.state
+        (retargeter, state), frame = self._driven, self._frame or arrival.frame
         if self.supervisor.starts_again:
             state = retargeter.init(before=state)
         state, result = retargeter.step(state, frame)
@@ -528,6 +483,14 @@ class HandPipeline:
         self._last, self._number = guarded, self._number + 1
         return tick
 
+    def _doubt(self, arrival: Arrival) -> Doubt | None:
+        """Reason to distrust the side or landmark order of the session's frames so far, or None."""
+        if arrival.session != self._session:
+            self._session, self._check = arrival.session, HandCheck(self.side)
+        frame = arrival.frame
+        assert frame.valid is not None  # filled in by HandFrame
+        return self._check.see(frame.landmarks, frame.valid, arrival.received)
+
     def _take(self, answer: Answer, now: float) -> None:
         """Make a method's result the target, if it is usable."""
         result = answer.result
@@ -551,7 +514,7 @@ class HandPipeline:
                 self._wrist.follow(frame.T_world_wrist, frame.forearm, world)
             self._target = np.concatenate([self._target, self._wrist.target])
         self.supervisor.usable(now)
-        self._driven = Driven(self.retargeter, answer.state)
+        self._driven = self.retargeter, answer.state
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
         """Joint positions of the next command in this mode, within the limits."""

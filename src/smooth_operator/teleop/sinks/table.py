@@ -105,11 +105,11 @@ class HandPanel:
         tick = self._tick
         if tick is None:
             return f"{self.title}: no command yet"
-        times, latencies = self._copy(self._times), self._copy(self._latencies)
+        times, latencies = self._times.copy(), self._latencies.copy()  # the loop appends on
         parts = [f"{self.title}: {'stalled' if self.silence else tick.mode.value}"]
         if len(times) > 1 and times[-1] > times[0]:
             parts.append(f"{(len(times) - 1) / (times[-1] - times[0]):.0f} Hz")
-        if len(latencies):
+        if latencies:
             p50, p99 = np.percentile(latencies, (50, 99))
             parts.append(f"latency p50 {p50:.2f} ms, p99 {p99:.2f} ms")
         if self.silence:
@@ -133,14 +133,6 @@ class HandPanel:
             for name, q, (low, high) in rows:
                 table.add_row(name, f"{q:+.3f}", _bar(float(q), float(low), float(high)))
         return Group(Text(self.line(), style=colour), table)
-
-    @staticmethod
-    def _copy(values: deque[float]) -> list[float]:
-        while True:
-            try:
-                return list(values)
-            except RuntimeError:  # the loop appended meanwhile
-                continue
 
 
 class _Drawing:

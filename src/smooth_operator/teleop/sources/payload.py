@@ -15,7 +15,6 @@ OpenXR's axes (y up). A message with ``wrist`` and without landmarks is the pose
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -53,28 +52,27 @@ class Reading:
     """One hand that was read from a message.
 
     Attributes:
-        frame: the hand; its stamp is the time of receipt if the message has none.
-        stamped: True if the stamp is the tracker's own.
+        frame: the hand; its stamp is the tracker's own, or None.
         session: the tracker's name for its current session, if it sends one.
     """
 
     frame: HandFrame
-    stamped: bool = False
     session: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Forms:
     """Settings that say which format messages have.
 
     Attributes:
-        layout: order of the landmarks in a message of 21; None for this project's order.
-        stamp_unit: unit of the stamps.
+        layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
+        stamp_unit: unit of the stamps in JSON.
         quaternion: order of the quaternion in rows of 7.
-        matrix: order of 4 x 4 matrices; ``auto`` decides by their row or column 0 0 0 1.
+        matrix: order of 4 x 4 matrices, row by row or column by column; ``auto`` decides by the
+            place of 0 0 0 1.
     """
 
-    layout: str | None = None
+    layout: str = "mediapipe"
     stamp_unit: StampUnit = "s"
     quaternion: QuaternionOrder = "wxyz"
     matrix: MatrixOrder = "auto"
@@ -93,35 +91,25 @@ class PayloadReader:
         Raises:
             RecordingError: as ``read_payload``, or the stamps advance at the rate of another unit.
         """
-        readings = read_payload(
-            data, side=self._side, received=received, **dataclasses.asdict(self._forms)
-        )
-        for reading in readings:
-            if reading.stamped:
-                self._pace.check(reading.frame.side, reading.frame.time, received)
+        readings = read_payload(data, self._side, self._forms)
+        for frame in (reading.frame for reading in readings):
+            if frame.stamp is not None:
+                self._pace.check(frame.side, frame.stamp, received)
         return readings
 
 
-def read_payload(
-    data: bytes,
-    *,
-    side: Side | None,
-    received: float,
-    **forms: Any,
-) -> tuple[Reading, ...]:
+def read_payload(data: bytes, side: Side | None, forms: Forms = Forms()) -> tuple[Reading, ...]:
     """Reads the hands of a message.
 
     Args:
         side: side of the hand if the message has none; None refuses such a message.
-        received: time of receipt [s], used as the stamp if the message has none.
-        forms: attributes of ``Forms``.
+        forms: form of the messages.
 
     Raises:
         RecordingError: the message can't be read. The error states the reason and, if the unit
             seems wrong, the likely factor.
     """
     check_size(data)
-    settings = Forms(**forms)
     binary = _BINARY.get(len(data))
     if data[:1] in (b"{", b"["):
         try:
@@ -130,7 +118,7 @@ def read_payload(
             if binary is None:  # one of 128 messages of numbers starts with such a byte
                 raise
         else:
-            return _read_json(message, side, received, settings)
+            return _read_json(message, side, forms)
     if binary is None:
         sizes = ", ".join(str(size) for size in _BINARY)
         raise RecordingError(
@@ -139,8 +127,7 @@ def read_payload(
         )
     count, dtype = binary
     points = np.frombuffer(data, dtype).reshape(count, 3).astype(np.float64)
-    frame = hand_frame(points, stamp=received, side=_checked_side(side), layout=settings.layout)
-    return (Reading(frame),)
+    return (Reading(hand_frame(points, side=_checked_side(side), layout=forms.layout)),)
 
 
 def check_size(data: bytes) -> None:
@@ -162,8 +149,8 @@ def parse_json(data: bytes | str) -> Any:
 def hand_frame(
     points: Float[np.ndarray, "n 3"],
     *,
-    stamp: float,
     side: Side,
+    stamp: float | None = None,
     valid: Any = None,
     orientations: Float[np.ndarray, "n 4"] | None = None,
     metacarpals: Float[np.ndarray, "4 3"] | None = None,
@@ -177,7 +164,7 @@ def hand_frame(
     Args:
         points: (n, 3) positions [m] with n = 21, 25, 26 or 27; NaN for missing ones. If all are
             zero, the tracker sees no hand.
-        stamp: stamp of the frame [s].
+        stamp: stamp of the frame [s], or None.
         valid: flags of the points, or of the 21 landmarks.
         orientations: quaternions wxyz of the points, of any length.
         metacarpals: metacarpal bases, if they are not among the points.
@@ -241,32 +228,27 @@ def read_session(message: Mapping[str, Any]) -> str | None:
     return None if session is None else str(session)[:64]
 
 
-def _read_json(
-    message: Any, side: Side | None, received: float, forms: Forms
-) -> tuple[Reading, ...]:
+def _read_json(message: Any, side: Side | None, forms: Forms) -> tuple[Reading, ...]:
     if isinstance(message, list):
-        return (_read_hand({"landmarks": message}, side, received, forms),)
+        return (_read_hand({"landmarks": message}, side, forms),)
     hands = message.get("hands")
     if hands is None:
-        return (_read_hand(message, side, received, forms),)
+        return (_read_hand(message, side, forms),)
     if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
         raise RecordingError("'hands' must be a list of objects, one for each hand")
     shared = {key: message[key] for key in _SHARED if key in message}
-    return tuple(_read_hand({**shared, **hand}, side, received, forms) for hand in hands)
+    return tuple(_read_hand({**shared, **hand}, side, forms) for hand in hands)
 
 
-def _read_hand(
-    message: Mapping[str, Any], side: Side | None, received: float, forms: Forms
-) -> Reading:
+def _read_hand(message: Mapping[str, Any], side: Side | None, forms: Forms) -> Reading:
     field_name = next((key for key in ("landmarks", "joints") if key in message), None)
-    stamp, tracked = read_stamp(message, forms.stamp_unit), read_wrist(message)
+    tracked, session = read_wrist(message), read_session(message)
     known: dict[str, Any] = {
-        "stamp": received if stamp is None else stamp,
+        "stamp": read_stamp(message, forms.stamp_unit),
         "side": read_side(message.get("side"), side),
     }
     if field_name is None and tracked:
-        frame = pose_frame(**known, **tracked)
-        return Reading(frame, stamp is not None, read_session(message))
+        return Reading(pose_frame(**known, **tracked), session)
     if field_name is None:
         keys = ", ".join(map(short, list(message)[:8])) or "nothing"
         raise RecordingError(f"{_WHERE} has neither 'landmarks' nor 'wrist'; it has {keys}")
@@ -287,7 +269,7 @@ def _read_hand(
         forearm=_beside(message, "forearm", (3,)),
         **tracked,
     )
-    return Reading(frame, stamp is not None, read_session(message))
+    return Reading(frame, session)
 
 
 def read_wrist(message: Mapping[str, Any]) -> dict[str, Any]:

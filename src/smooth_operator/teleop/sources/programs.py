@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
@@ -44,11 +44,8 @@ from smooth_operator.teleop.sources.inboxes import (
 )
 from smooth_operator.teleop.sources.payload import (
     Forms,
-    MatrixOrder,
     PayloadReader,
-    QuaternionOrder,
     Reading,
-    StampUnit,
     check_size,
     hand_frame,
     parse_json,
@@ -70,29 +67,19 @@ from smooth_operator.web.addresses import LOCAL
 
 
 @dataclass(frozen=True)
-class LandmarkStream(StreamSource):
+class LandmarkStream(Forms, StreamSource):
     """Source with one hand per message, in the forms of ``smooth_operator.teleop.sources.payload``.
 
     Attributes:
         side: the side to use; messages without a side count as this side. With ``both``, each
             message must state its side.
-        layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
-        stamp_unit: unit of the stamps in JSON.
-        quaternion: order of the quaternion in rows of 7.
-        matrix: order of 4 x 4 matrices, row by row or column by column; ``auto`` decides by the
-            place of 0 0 0 1.
 
     Raises:
         ConfigError: a setting is outside its range.
         UnknownNameError: there is no such layout.
     """
 
-    _: KW_ONLY
-    side: Hands = "right"
-    layout: str = "mediapipe"
-    stamp_unit: StampUnit = "s"
-    quaternion: QuaternionOrder = "wxyz"
-    matrix: MatrixOrder = "auto"
+    side: Hands = field(default="right", kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,8 +92,7 @@ class LandmarkStream(StreamSource):
 
     def reader(self) -> Reader:
         """See ``StreamSource``."""
-        forms = Forms(self.layout, self.stamp_unit, self.quaternion, self.matrix)
-        payload = PayloadReader(only_side(self.side), forms)
+        payload = PayloadReader(only_side(self.side), self)
         return lambda message, received: payload.read(self.data_of(message), received)
 
 
@@ -238,10 +224,8 @@ class HtsSource(StreamSource):
             frame = hands.add(line, received)
             if frame is None:
                 return ()
-            stamped = frame.stamp is not None
-            frame = frame if stamped else replace(frame, stamp=received)
             # A new connection is a new start of the app.
-            return (Reading(frame, stamped, b" ".join((host, *connection)).decode()),)
+            return (Reading(frame, b" ".join((host, *connection)).decode()),)
 
         return read
 
@@ -300,13 +284,11 @@ class PicoSource(StreamSource):
 
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, host, connection = message
-            packet = pico_packets.read_packet(data, self.axes)  # a bad packet has no sender
+            frames = pico_packets.read_packet(data, self.axes)  # a bad packet has no sender
             sender.check(host, received)
-            stamped, session = packet.stamp is not None, f"{host.decode()} {connection.decode()}"
+            session = f"{host.decode()} {connection.decode()}"
             return [
-                Reading(frame if stamped else replace(frame, stamp=received), stamped, session)
-                for frame in map(repeats.new, packet.frames)
-                if frame is not None
+                Reading(frame, session) for frame in map(repeats.new, frames) if frame is not None
             ]
 
         return read
@@ -358,7 +340,7 @@ class AvpSource(StreamSource):
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, connection = message
             return [
-                Reading(replace(frame, stamp=received), session=connection.decode())
+                Reading(frame, connection.decode())
                 for frame in map(repeats.new, avp.read_hands(data))
                 if frame is not None
             ]
@@ -376,7 +358,7 @@ _IN_ORDER: Final = list(range(NODES))
 
 
 def read_manus(
-    data: bytes, *, gloves: Mapping[str, Side], side: Side | None, received: float
+    data: bytes, *, gloves: Mapping[str, Side], side: Side | None
 ) -> tuple[Reading, ...]:
     """Reads the hands of a message; empty for a message with joint angles.
 
@@ -384,7 +366,6 @@ def read_manus(
         data: the message; several parts are joined with spaces.
         gloves: glove id in the bridge's notation -> side, for bridges that send no sides.
         side: side of a message with neither a side nor a glove in ``gloves``; None refuses it.
-        received: time of receipt [s], used as the stamp if the message has none.
 
     Raises:
         RecordingError: the message can't be read; the error states the reason.
@@ -392,11 +373,11 @@ def read_manus(
     check_size(data)
     topic_match = _TOPIC.match(data)
     if topic_match is None:
-        return _read_csv(data, gloves, side, received)
+        return _read_csv(data, gloves, side)
     topic = topic_match[1].decode().lower().rpartition("/")[2]
     expected: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
     message = parse_json(data[topic_match.end() :])
-    return tuple(read_glove(hand, gloves, expected, received) for hand in _hands(message))
+    return tuple(read_glove(hand, gloves, expected) for hand in _hands(message))
 
 
 def _hands(message: Any) -> list[Mapping[str, Any]]:
@@ -420,7 +401,7 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
 
 
 def read_glove(
-    message: Mapping[str, Any], gloves: Mapping[str, Side], side: Side | None, received: float
+    message: Mapping[str, Any], gloves: Mapping[str, Side], side: Side | None
 ) -> Reading:
     """Reads one hand, a JSON object with ``nodes``; see ``read_manus``."""
     key = next((key for key in ("nodes", "raw_nodes", "data") if key in message), None)
@@ -437,12 +418,12 @@ def read_glove(
         stamp = None
     frame = hand_frame(
         positions,
-        stamp=received if stamp is None else stamp,
+        stamp=stamp,
         side=_side(message.get("side"), message.get("glove_id"), gloves, side),
         orientations=quaternions,
         **read_wrist(message),
     )
-    return Reading(frame, stamp is not None, read_session(message))
+    return Reading(frame, read_session(message))
 
 
 def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | None) -> Side:
@@ -526,9 +507,7 @@ def _read_objects(nodes: Sequence[Any], key: str) -> tuple[list[int], Float[np.n
     return ids, read
 
 
-def _read_csv(
-    data: bytes, gloves: Mapping[str, Side], side: Side | None, received: float
-) -> tuple[Reading, ...]:
+def _read_csv(data: bytes, gloves: Mapping[str, Side], side: Side | None) -> tuple[Reading, ...]:
     fields = data.decode("ascii", "replace").strip().rstrip(",").split(",")
     if len(fields) == _CSV_ANGLES:
         return ()
@@ -544,7 +523,6 @@ def _read_csv(
         rows = rows.reshape(NODES, 7)
         frame = hand_frame(
             rows[:, :3],
-            stamp=received,
             side=_side(None, glove, gloves, side if len(fields) == _CSV_HAND else None),
             orientations=rows[:, 3:][:, _XYZW],
         )
@@ -601,6 +579,6 @@ class ManusStream(StreamSource):
         gloves, side = glove_sides(self.right_glove, self.left_glove), only_side(self.side)
 
         def read(message: Message, received: float) -> Sequence[Reading]:
-            return read_manus(b" ".join(message), gloves=gloves, side=side, received=received)
+            return read_manus(b" ".join(message), gloves=gloves, side=side)
 
         return read

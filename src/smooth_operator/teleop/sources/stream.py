@@ -190,7 +190,7 @@ class MessageReceiver:
         if side not in self._sides:
             self._other_side += 1
             return
-        start = (reading.stamped, reading.session)
+        start = (reading.frame.stamp is not None, reading.session)
         session, before = self._sessions.get(side, (0, start))
         session += start != before
         self._sessions[side] = session, start

@@ -327,10 +327,8 @@ class Link:
 
     def _rate(self) -> float:
         """Frames with a hand in the last second [Hz]."""
-        with contextlib.suppress(RuntimeError):  # a frame came during the count
-            since = self._clock() - _RATE_OVER
-            return sum(at > since for at in self._received) / _RATE_OVER
-        return float(len(self._received))
+        since = self._clock() - _RATE_OVER
+        return sum(at > since for at in self._received.copy()) / _RATE_OVER  # more may come
 
 
 def _number(value: object) -> float:
@@ -359,13 +357,11 @@ class Packet:
 
     Attributes:
         number: number of the frame.
-        stamp: time by the page's clock [s].
-        frames: visible hands, left first.
+        frames: visible hands, left first, with stamps by the page's clock.
         controllers: sides whose hand was computed from a controller.
     """
 
     number: int
-    stamp: float
     frames: tuple[HandFrame, ...]
     controllers: frozenset[Side] = frozenset()
 
@@ -392,7 +388,7 @@ def read_packet(message: bytes) -> Packet:
     joints = values.reshape(len(sides), JOINTS, VALUES)
     world = f"webxr/{SPACES[space]}" if space < len(SPACES) else "webxr"
     frames = tuple(_frame(joints[i], stamp, side, world) for i, side in enumerate(sides))
-    return Packet(number, stamp, frames, controllers)
+    return Packet(number, frames, controllers)
 
 
 def _frame(joints: Float[np.ndarray, "25 8"], stamp: float, side: Side, world: str) -> HandFrame:

@@ -6,7 +6,6 @@ The page and its WebSocket share one port.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import datetime
 import hashlib
 import http
@@ -14,7 +13,6 @@ import ipaddress
 import json
 import math
 import os
-import secrets
 import shutil
 import ssl
 import tempfile
@@ -220,17 +218,13 @@ def _read(file: Path, now: datetime.datetime) -> Certificate | None:
 
 
 def _write(file: Path, text: bytes) -> None:
-    temporary = file.with_name(f".{file.name}.{secrets.token_hex(4)}")
     # Private from its first byte on; replaces an older file in one step.
-    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
+    with tempfile.TemporaryDirectory(dir=file.parent) as folder:
+        temporary = Path(folder, file.name)
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "wb") as out:
             out.write(text)
         os.replace(temporary, file)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
 
 
 def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
@@ -244,20 +238,11 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "smooth-operator headset page")])
     public = key.public_key()
     subtrees = [_name(name, ipaddress.ip_network) for name in names]
-    usage = {
-        name: name in ("digital_signature", "key_cert_sign")
-        for name in (
-            "digital_signature",
-            "content_commitment",
-            "key_encipherment",
-            "data_encipherment",
-            "key_agreement",
-            "key_cert_sign",
-            "crl_sign",
-            "encipher_only",
-            "decipher_only",
-        )
-    }
+    unused = (
+        *("content_commitment", "key_encipherment", "data_encipherment", "key_agreement"),
+        *("crl_sign", "encipher_only", "decipher_only"),
+    )
+    usage = dict.fromkeys(unused, False) | {"digital_signature": True, "key_cert_sign": True}
     certificate = (
         x509.CertificateBuilder()
         .subject_name(subject)
