@@ -208,6 +208,14 @@ def hand() -> Any:
 
 
 @pytest.fixture(scope="module")
+def hands(hand: Any) -> dict[str, Any]:
+    """The default robot hand of both sides."""
+    from smooth_operator.hands.registry import load_hand
+
+    return {"right": hand, "left": load_hand("mimic_p050", "left")}
+
+
+@pytest.fixture(scope="module")
 def emulator(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The script of the emulated headset, or a skip."""
     from emulated_headset import NoEmulator, fetch_emulator

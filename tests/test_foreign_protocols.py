@@ -11,9 +11,6 @@ import pytest
 from live_time import Kept, until
 
 from smooth_operator.teleop.components import build_source
-from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.stream import MessageReceiver
-from smooth_operator.types import HandFrame
 
 POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)
 JOINTS = app.hand("right")
@@ -30,7 +27,6 @@ def pico(number: int) -> bytes:
 
 
 SOURCES: dict[str, Callable[[int], bytes]] = {"hts:port=0,transport=tcp": hts, "pico:port=0": pico}
-pytestmark = pytest.mark.parametrize("text", SOURCES)
 
 HEADERS = [
     b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5000\r\n\r\n",
@@ -76,6 +72,7 @@ def works(mailbox: Kept, where: tuple[str, int], data: bytes) -> None:
         until(lambda: mailbox.received == before + 1)
 
 
+@pytest.mark.parametrize("text", SOURCES)
 @pytest.mark.parametrize("pieces", ["together", "apart", "byte by byte"])
 def test_another_protocol_is_closed_for_good(text, pieces):
     frame = SOURCES[text]
@@ -107,26 +104,3 @@ def test_another_protocol_is_closed_for_good(text, pieces):
         assert mailbox.received == 1
         until(lambda: source.health().state == "running")
         assert "connections closed" in source.health().detail
-
-
-def test_a_refusal_ends_no_silence(text):
-    """A page that keeps on connecting does not make a silent headset look alive."""
-
-    class Running:
-        health: Any = None
-        mailbox = Kept(lambda: now)
-
-    def read(message: Any, received: float) -> list[Reading]:
-        return [Reading(HandFrame(app.landmarks(JOINTS), received, "right"))]
-
-    now, running = 0.0, Running()
-    receiver = MessageReceiver(running, text, ("right",), read)
-    from smooth_operator.errors import RecordingError
-
-    receiver.take((b"",), now)
-    receiver.take((RecordingError("closed"),), now)
-    assert running.health.state == "running"
-    now = 3.0
-    receiver.take((RecordingError("closed"),), now)
-    assert running.health.state == "waiting"
-    assert running.health.detail.endswith("for 3 s; connections closed: 2; closed")

@@ -134,9 +134,6 @@ def test_a_stamp_in_another_unit_names_the_setting():
         read(landmarks=POINTS.tolist(), stamp=unix_ns // 10**3, settings={"stamp_unit": "ms"})
     with pytest.raises(RecordingError, match="stamp_unit=s, ms, us or ns"):
         read(landmarks=POINTS.tolist(), stamp=1e300)
-    for stamp in (True, "1", [1]):
-        with pytest.raises(RecordingError, match="finite number"):
-            read(landmarks=POINTS.tolist(), stamp=stamp)
 
 
 def refusals(unit: Any, stamp: Callable[[int], float]) -> list[str]:

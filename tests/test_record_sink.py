@@ -18,7 +18,7 @@ from live_time import PATIENCE_S, until
 from protobuf_log import rewritten
 from ticks import make_tick, record
 
-from smooth_operator import Hand, Retargeter, load_hand, read_recording
+from smooth_operator import Hand, Retargeter, read_recording
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_sink
@@ -30,12 +30,6 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.types import Side
-
-
-@pytest.fixture(scope="module")
-def hands(hand) -> dict[Side, Hand]:
-    return {"right": hand, "left": load_hand("mimic_p050", "left")}
 
 
 def test_all_of_a_session_comes_back(hand, tmp_path):

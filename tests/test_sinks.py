@@ -15,7 +15,7 @@ from live_time import PATIENCE_S, until
 from rich.console import Console
 from ticks import make_tick
 
-from smooth_operator import Hand, load_hand
+from smooth_operator import Hand
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
@@ -23,11 +23,6 @@ from smooth_operator.teleop.sinks.table import HandPanel, TableSink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
 from smooth_operator.types import Side
-
-
-@pytest.fixture(scope="module")
-def hands(hand) -> dict[Side, Hand]:
-    return {"right": hand, "left": load_hand("mimic_p050", "left")}
 
 
 class Fake(Sink):

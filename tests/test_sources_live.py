@@ -349,9 +349,15 @@ def test_health_counts_what_could_not_be_read_and_tells_of_silence():
     assert running.health.state == "waiting"
     assert "for 5 s" in running.health.detail
     assert len(mailbox.all) == 4
+    receiver.take((b"good",), waits.now)
+    for waits.now in (6.0, 9.0):  # a page that keeps on connecting is no sign of the tracker
+        state = running.health.state
+        receiver.take((RecordingError("closed"),), waits.now)
+    assert (state, running.health.state) == ("running", "waiting")
+    assert running.health.detail.endswith("for 4 s; connections closed: 2; closed")
     receiver = MessageReceiver(running, "x", ("right",), lambda _, at: [Reading(frame(at, "left"))])
-    receiver.take((b"",), 6.0)
-    assert len(mailbox.all) == 4
+    receiver.take((b"",), 9.0)
+    assert len(mailbox.all) == 5
     assert running.health.state == "waiting"
     assert "other hand" in running.health.detail
 

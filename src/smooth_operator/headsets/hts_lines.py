@@ -142,7 +142,7 @@ class HtsHands:
             return None
         wrist = self._wrists.pop(line.side, None)
         values = wrist[0].values if wrist is not None and _belong(*wrist, line, received) else None
-        return hts_frame(line.values.reshape(-1, 3), values, line.side, line.stamp)
+        return _frame(line.values.reshape(-1, 3), values, line.side, line.stamp)
 
 
 def _belong(wrist: HtsLine, at: float, landmarks: HtsLine, received: float) -> bool:
@@ -151,19 +151,13 @@ def _belong(wrist: HtsLine, at: float, landmarks: HtsLine, received: float) -> b
     return received - at <= _TOGETHER_S
 
 
-def hts_frame(
+def _frame(
     points: Float[np.ndarray, "21 3"],
     wrist: Float[np.ndarray, "7"] | None,
     side: Side,
     stamp: float | None,
 ) -> HandFrame:
-    """Makes a hand frame in this project's conventions from landmarks in the wrist's axes.
-
-    Args:
-        points: landmarks from the app, in Unity's wrist axes [m].
-        wrist: x y z [m] and quaternion x y z w in Unity's world; None if lost.
-        stamp: stamp of the frame [s], or None.
-    """
+    """Converts the app's landmarks and its wrist, None if lost, to this project's conventions."""
     landmarks = points @ WRIST_AXES["unity"].T
     valid = np.isfinite(landmarks).all(axis=1)
     valid[1:] &= landmarks[1:].any(axis=1)  # 0 0 0 is a missing joint

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import os
-import types
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -105,8 +103,9 @@ def read_episode(
         )
     kind = file_kind(path)
     if kind == "log":
-        logged: Episode = _logs().read_log_episode(path, rate=rate, side=side)
-        return logged
+        from smooth_operator.teleop.recording.log_episode import read_log_episode
+
+        return read_log_episode(path, rate=rate, side=side)
     if kind == "hdf5":
         return read_hdf5_episode(path, rate=rate, side=side)
     if kind == "npz":
@@ -140,7 +139,9 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
             "smooth_operator.episode_files.lerobot.write_dataset"
         )
     if kind == "mcap":
-        _logs().write_log_episode(path, episode)
+        from smooth_operator.teleop.recording.log_episode import write_log_episode
+
+        write_log_episode(path, episode)
     elif kind == "npz":
         write_npz_episode(path, episode)
     else:
@@ -149,8 +150,11 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
 def losses(episode: Episode, to: Format) -> list[str]:
     """Lists, for messages, the parts of an episode that a format can't store."""
-    lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
-    return lost
+    if to != "mcap":
+        return []
+    from smooth_operator.teleop.recording.log_episode import log_losses
+
+    return log_losses(episode)
 
 
 def format_of(path: Path, to: Format | None) -> Format:
@@ -265,12 +269,6 @@ def files_of(path: Path, to: Format) -> list[Path]:
     return [path, config_path(path)] if to == "npz" else [path]
 
 
-def _logs() -> types.ModuleType:
-    """Imports the module for MCAP files. It needs the ``teleop`` extra, so other formats skip
-    it."""
-    return importlib.import_module("smooth_operator.teleop.recording.log_episode")
-
-
 def _is_recording(path: Path) -> bool:
     try:
         file_kind(path)
@@ -285,7 +283,9 @@ def _is_own(path: Path, to: Format) -> bool:
     except RecordingError:
         return False
     if to == "mcap":
-        return kind == "log" and bool(_logs().is_own_log(path))
+        from smooth_operator.teleop.recording.log_episode import is_own_log
+
+        return kind == "log" and is_own_log(path)
     if to == "npz":
         return kind == "npz" and is_own_npz(path)
     return kind == "hdf5" and is_own_hdf5(path)

@@ -89,9 +89,7 @@ class RemoteTeleop:
     def _exchange(self, message: bytes, patient: Callable[[], bool]) -> dict[str, Any]:
         """Send a message and return its answer; waits on after a timeout if ``patient`` is true."""
         zmq = self._zmq
-        context = zmq.Context()
-        try:
-            socket = context.socket(zmq.REQ)
+        with zmq.Context() as context, context.socket(zmq.REQ) as socket:
             socket.setsockopt(zmq.LINGER, 0)  # drop a message that was not received
             try:
                 socket.connect(self.address)
@@ -100,10 +98,6 @@ class RemoteTeleop:
                 return self._read(socket.recv())
             except zmq.ZMQError as error:
                 raise ConfigError(f"{self.address!r} can't be reached: {error}") from error
-            finally:
-                socket.close()
-        finally:
-            context.term()
 
     def _wait(self, socket: Any, patient: Callable[[], bool]) -> None:
         begun = time.monotonic()

@@ -78,24 +78,52 @@ class Forms:
     matrix: MatrixOrder = "auto"
 
 
+PACE_WINDOW_S: Final = 1.0
+"""Time over which the rate of the stamps is measured [s]."""
+_FEWEST: Final = 10  # messages in it
+
+
 class PayloadReader:
     """Reads the messages of one stream; takes the arguments of ``read_payload``."""
 
     def __init__(self, side: Side | None, forms: Forms) -> None:
         self._side, self._forms = side, forms
-        self._pace = StampPace(forms.stamp_unit)
+        self._windows: dict[Side, tuple[float, float, int]] = {}
+        self._wrong: dict[Side, str] = {}
 
     def read(self, data: bytes, received: float) -> tuple[Reading, ...]:
         """Reads the hands of the next message.
 
         Raises:
-            RecordingError: as ``read_payload``, or the stamps advance at the rate of another unit.
+            RecordingError: as ``read_payload``; or over the last window the stamps ran about 10^3,
+                10^6 or 10^9 times too fast or too slowly, so they are in another unit. The message
+                names the setting.
         """
         readings = read_payload(data, self._side, self._forms)
         for frame in (reading.frame for reading in readings):
             if frame.stamp is not None:
-                self._pace.check(frame.side, frame.stamp, received)
+                self._check_pace(frame.side, frame.stamp, received)
         return readings
+
+    def _check_pace(self, side: Side, stamp: float, received: float) -> None:
+        start, at, count = self._windows.setdefault(side, (stamp, received, 0))
+        self._windows[side] = (start, at, count + 1)
+        if received - at >= PACE_WINDOW_S and count >= _FEWEST:
+            self._wrong[side] = self._judge((stamp - start) / (received - at))
+            del self._windows[side]
+        if self._wrong.get(side):
+            raise RecordingError(self._wrong[side])
+
+    def _judge(self, pace: float) -> str:
+        for unit, parts in _PARTS.items():
+            times = parts / _PARTS[self._forms.stamp_unit]
+            if unit != self._forms.stamp_unit and 0.5 * times < pace < 2.0 * times:
+                return (
+                    f"the timestamps run {pace:.3g} times as fast as the clock of this "
+                    f"computer: they look like {_NAMES[unit]}; set stamp_unit={unit} for the "
+                    "source"
+                )
+        return ""
 
 
 def read_payload(data: bytes, side: Side | None, forms: Forms = Forms()) -> tuple[Reading, ...]:
@@ -234,10 +262,16 @@ def _read_json(message: Any, side: Side | None, forms: Forms) -> tuple[Reading, 
     hands = message.get("hands")
     if hands is None:
         return (_read_hand(message, side, forms),)
+    return tuple(_read_hand(hand, side, forms) for hand in with_shared(hands, message))
+
+
+def with_shared(hands: Any, message: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Adds the common fields of a message to each of its hands; raises RecordingError if these are
+    not a list of objects."""
     if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
-        raise RecordingError("'hands' must be a list of objects, one for each hand")
+        raise RecordingError("several hands must be sent as a list of objects, one for each hand")
     shared = {key: message[key] for key in _SHARED if key in message}
-    return tuple(_read_hand({**shared, **hand}, side, forms) for hand in hands)
+    return [{**shared, **hand} for hand in hands]
 
 
 def _read_hand(message: Mapping[str, Any], side: Side | None, forms: Forms) -> Reading:
@@ -489,42 +523,3 @@ def _finite(value: int | float) -> bool:
         return math.isfinite(value)
     except OverflowError:  # a whole number beyond all floats
         return False
-
-
-class StampPace:
-    """Detects from the rate of the stamps that they are not in the declared unit."""
-
-    WINDOW_S: Final = 1.0
-    """Time over which the rate of the stamps is measured [s]."""
-    _FEWEST: Final = 10
-
-    def __init__(self, unit: StampUnit) -> None:
-        self._unit = unit
-        self._windows: dict[Side, tuple[float, float, int]] = {}
-        self._wrong: dict[Side, str] = {}
-
-    def check(self, side: Side, stamp: float, received: float) -> None:
-        """Checks a stamp against its time of receipt [s].
-
-        Raises:
-            RecordingError: over the last window the stamps ran about 10^3, 10^6 or 10^9 times too
-                fast or too slowly, so they are in another unit. The message names the setting.
-        """
-        start, at, count = self._windows.setdefault(side, (stamp, received, 0))
-        self._windows[side] = (start, at, count + 1)
-        if received - at >= self.WINDOW_S and count >= self._FEWEST:
-            self._wrong[side] = self._judge((stamp - start) / (received - at))
-            del self._windows[side]
-        if self._wrong.get(side):
-            raise RecordingError(self._wrong[side])
-
-    def _judge(self, pace: float) -> str:
-        for unit, parts in _PARTS.items():
-            times = parts / _PARTS[self._unit]
-            if unit != self._unit and 0.5 * times < pace < 2.0 * times:
-                return (
-                    f"the timestamps run {pace:.3g} times as fast as the clock of this "
-                    f"computer: they look like {_NAMES[unit]}; set stamp_unit={unit} for the "
-                    "source"
-                )
-        return ""

@@ -54,6 +54,7 @@ from smooth_operator.teleop.sources.payload import (
     read_side,
     read_stamp,
     read_wrist,
+    with_shared,
 )
 from smooth_operator.teleop.sources.stream import (
     Hands,
@@ -380,24 +381,16 @@ def read_manus(
     return tuple(read_glove(hand, gloves, expected) for hand in _hands(message))
 
 
-def _hands(message: Any) -> list[Mapping[str, Any]]:
+def _hands(message: Any) -> Sequence[Mapping[str, Any]]:
     """One object per hand of a message, with the message's common fields added."""
-    hands: Any = message
-    if isinstance(message, dict):
-        shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
-        if "hands" in message or "gloves" in message:
-            hands = message.get("hands", message.get("gloves"))
-        elif keys := [key for key in message if key.lower() in ("right", "left")]:
-            hands = [
-                {"side": key, **message[key]} for key in keys if isinstance(message[key], dict)
-            ]
-        else:
-            return [message]
-        if isinstance(hands, list):
-            hands = [{**shared, **hand} if isinstance(hand, dict) else hand for hand in hands]
-    if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
-        raise RecordingError("several hands must be sent as a list of objects, one for each hand")
-    return hands
+    if not isinstance(message, dict):
+        return with_shared(message, {})
+    if "hands" in message or "gloves" in message:
+        return with_shared(message.get("hands", message.get("gloves")), message)
+    if not (keys := [key for key in message if key.lower() in ("right", "left")]):
+        return [message]
+    hands = [{"side": key, **message[key]} for key in keys if isinstance(message[key], dict)]
+    return with_shared(hands, message)
 
 
 def read_glove(

@@ -16,7 +16,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_recording
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
-from smooth_operator.settings import check_numbers
+from smooth_operator.settings import check_numbers, check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webcam.camera import (
     Camera,
@@ -136,8 +136,7 @@ class Video(_Pictures):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.01 <= self.speed <= 100.0:
-            raise ConfigError(f"speed must be between 0.01 and 100, not {self.speed}")
+        check_range("speed", self.speed, 0.01, 100.0)
 
     @property
     def label(self) -> str:
