@@ -4,7 +4,6 @@ import contextlib
 import json
 import socket
 import struct
-import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +18,6 @@ from live_time import PATIENCE_S, Kept, until
 
 from smooth_operator.errors import (
     ConfigError,
-    MissingExtraError,
     RecordingError,
     SourceError,
 )
@@ -564,12 +562,9 @@ def test_a_wrong_setting_is_refused(text, error, words):
         build_source(text).start(Kept())
 
 
-def test_a_taken_port_and_a_missing_extra_are_named(monkeypatch):
+def test_a_taken_port_is_named():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         for text in (f"hts:port={port},transport=tcp", f"pico:port={port}"):
             with pytest.raises(SourceError, match=f"TCP port {port}.*{text[:3]}.*:port=PORT"):
                 build_source(text).start(Kept())
-    monkeypatch.setitem(sys.modules, "grpc", None)
-    with pytest.raises(MissingExtraError, match="avp"):
-        AvpSource("10.0.0.2").start(Kept())

@@ -285,8 +285,8 @@ def test_the_rate_is_a_bound_whatever_comes(gaps, period, window):
     assert np.all(between <= LONGEST * period + SLACK)
 
 
-@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
-@pytest.mark.parametrize("tracker", [30.0, 60.0, 72.0, 100.0, 120.0, 240.0, 1000.0])
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+@pytest.mark.parametrize("tracker", [30.0, 60.0, 72.0, 100.0, 240.0, 1000.0])
 @pytest.mark.parametrize("jitter", [0.0, 0.15])
 def test_the_rate_holds_and_frames_stay_fresh(rate, tracker, jitter):
     rng = np.random.default_rng(0)

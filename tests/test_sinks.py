@@ -5,7 +5,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,56 +13,18 @@ import pytest
 from free_port import free_port
 from live_time import PATIENCE_S, until
 from rich.console import Console
-from ticks import make_tick
+from ticks import KeptTicks, make_tick
 
-from smooth_operator import Hand
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop.components import SINKS, build_sink
-from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
-from smooth_operator.types import Side
-
-
-class Fake(Sink):
-    """A sink that keeps what it gets, and raises when told to."""
-
-    label = "fake"
-
-    def __init__(self, label: str = "fake") -> None:
-        self.label = label
-        self.raises: dict[str, Exception] = {}
-        self.calls: list[str] = []
-        self.ticks: list[Tick] = []
-        self.is_open = False
-
-    def _call(self, name: str) -> None:
-        self.calls.append(name)
-        if name in self.raises:
-            raise self.raises[name]
-
-    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        assert not self.is_open
-        self._call("open")
-        self.is_open = True
-
-    def send(self, tick: Tick) -> None:
-        assert self.is_open
-        self._call("send")
-        self.ticks.append(tick)
-
-    def stalled(self, seconds: float) -> None:
-        assert self.is_open
-        self._call("stalled")
-
-    def close(self) -> None:
-        self.is_open = False
-        self._call("close")
 
 
 def test_runner_opens_all_or_none(hand):
-    good, bad, never = Fake("good"), Fake("bad"), Fake("never")
+    good, bad, never = KeptTicks("good"), KeptTicks("bad"), KeptTicks("never")
     bad.raises["open"] = SinkError("no such port")
     runner = SinkRunner([good, bad, never])
     with pytest.raises(SinkError, match="no such port"):
@@ -80,7 +42,7 @@ def test_runner_opens_all_or_none(hand):
 
 def test_runner_isolates_a_failure_and_mends_it_in_its_time(hand):
     now = [100.0]
-    good, bad = Fake("good"), Fake("bad")
+    good, bad = KeptTicks("good"), KeptTicks("bad")
     runner = SinkRunner([bad, good], retry_s=1.0, clock=lambda: now[0])
     runner.open({"right": hand}, {})
     bad.raises["send"] = ZeroDivisionError("odd")
@@ -110,7 +72,7 @@ def test_runner_isolates_a_failure_and_mends_it_in_its_time(hand):
 
 
 def test_runner_closes_all_even_when_one_fails_in_closing(hand):
-    bad, good = Fake("bad"), Fake("good")
+    bad, good = KeptTicks("bad"), KeptTicks("good")
     bad.raises["close"] = OSError("disk gone")
     runner = SinkRunner([bad, good])
     runner.open({"right": hand}, {})
@@ -120,7 +82,7 @@ def test_runner_closes_all_even_when_one_fails_in_closing(hand):
 
 
 def test_runner_takes_in_and_lets_go_while_running(hand):
-    base = Fake("base")
+    base = KeptTicks("base")
     runner = SinkRunner([base], retry_s=0.05)
     runner.open({"right": hand}, {})
     stop = threading.Event()
@@ -134,7 +96,7 @@ def test_runner_takes_in_and_lets_go_while_running(hand):
     thread = threading.Thread(target=loop)
     thread.start()
     for i in range(60):
-        extra = Fake(f"extra {i}")
+        extra = KeptTicks(f"extra {i}")
         if i % 3 == 0:
             extra.raises["send"] = SinkError("bad")
         runner.add(extra)
@@ -143,7 +105,7 @@ def test_runner_takes_in_and_lets_go_while_running(hand):
         assert not extra.is_open
     stop.set()
     thread.join()
-    refused = Fake("refused")
+    refused = KeptTicks("refused")
     refused.raises["open"] = SinkError("taken")
     with pytest.raises(SinkError, match="taken"):
         runner.add(refused)
@@ -157,13 +119,13 @@ def test_runner_takes_in_and_lets_go_while_running(hand):
 
 
 def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand):
-    class Hanging(Fake):
+    class Hanging(KeptTicks):
         def send(self, tick: Tick) -> None:
             inside.set()
             gate.wait(PATIENCE_S)
 
     gate, inside = threading.Event(), threading.Event()
-    stuck, other = Hanging("stuck"), Fake("other")
+    stuck, other = Hanging("stuck"), KeptTicks("other")
     runner = SinkRunner([stuck, other])
     runner.open({"right": hand}, {})
     loop = threading.Thread(target=runner.send, args=(make_tick(hand),))
@@ -280,9 +242,22 @@ def test_zmq_never_sends_what_is_not_finite(hand):
     sink.close()
 
 
-@pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0", "table:0"])
-def test_bad_settings(text):
-    with pytest.raises(ConfigError):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("zmq:5556", "not a ZeroMQ address"),
+        ("zmq:valid_for_s=0", "valid_for_s must be greater than 0"),
+        ("table:0", "table: rate"),
+        ("mujoco:rate=50", "mujoco: rate"),
+        ("mujoco:bandwidth=100", "mujoco: bandwidth"),
+        ("mujoco:bandwidth=0", "mujoco: bandwidth"),
+        ("record:a.txt", "MCAP"),
+        ("record:a.mcap,flush_s=0", "record: flush_s"),
+        ("record:a,buffer=0", "record: buffer"),
+    ],
+)
+def test_bad_settings(text, words):
+    with pytest.raises(ConfigError, match=words):
         build_sink(text)
 
 

@@ -70,7 +70,7 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     assert [sink["failed"] for sink in summary["sinks"]] == [0, 0]
     assert set(summary["stages_ms"]) == {"tracker", "receive", "solve", "limit", "send"}
     assert len(kept.ticks) == summary["commands"]["right"]
-    assert kept.closed
+    assert not kept.is_open
     assert kept.config["hand"] == "leap_hand"
     assert kept.config["sinks"] == ["kept", f"record:{log}"]
     recorded = read_log(log)

@@ -153,11 +153,10 @@ def test_late_pictures_are_skipped_unless_every_one_is_wanted(fake, tmp_path, mo
     assert "skipped because they were late" in source.health().detail
 
 
-@pytest.mark.parametrize("name", ["missing.mp4", "text.mp4"])
-def test_what_is_no_video_is_refused_with_its_name(tmp_path, name):
+def test_what_is_no_video_is_refused_with_its_name(tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
-    with pytest.raises(SourceError, match=name):
-        Video(tmp_path / name).start(Mailbox())
+    with pytest.raises(SourceError, match=r"text\.mp4: the file can't be read as a video"):
+        Video(tmp_path / "text.mp4").start(Mailbox())
 
 
 def test_settings_are_read_and_checked_before_anything_starts():
@@ -179,11 +178,10 @@ def test_settings_are_read_and_checked_before_anything_starts():
             build_source(text)
 
 
-@pytest.mark.parametrize("module", ["cv2", "mediapipe"])
-def test_without_the_extra_one_line_says_so(module, tmp_path, monkeypatch):
+def test_without_the_extra_one_line_says_so(tmp_path, monkeypatch):
     clip = write_video(tmp_path / "clip.mp4", [plain(0)])
     monkeypatch.setattr(picture_tracker, "hand_model", lambda given: clip)
-    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setitem(sys.modules, "mediapipe", None)
     with pytest.raises(MissingExtraError, match=re.escape(install_command("webcam"))):
         Video(clip).start(Mailbox())
 

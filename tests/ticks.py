@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from made_hands import hand_points
 
-from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Contact, HandState, Mode, Tick
@@ -70,37 +69,48 @@ def felt(hand: Hand, levels: Any, *, age: float = 0.0, mode: Mode = Mode.TRACKIN
 
 @dataclass
 class KeptTicks(Sink):
-    """A sink that keeps what it gets.
+    """A sink that keeps what it gets, and raises what it is told to.
 
     Attributes:
-        fails: True if every command raises.
         slow_s: time that a command takes [s].
+        raises: method -> error that it raises.
+        calls: methods that were called.
     """
 
-    fails: bool = False
+    label: str = "kept"
     observes: bool = False
     slow_s: float = 0.0
-    label: str = "kept"
+    raises: dict[str, Exception] = field(default_factory=dict)
+    calls: list[str] = field(default_factory=list)
     ticks: list[Tick] = field(default_factory=list)
     silences: list[float] = field(default_factory=list)
     config: Mapping[str, Any] = field(default_factory=dict)
-    opened: int = 0
-    closed: int = 0
+    is_open: bool = False
+
+    def _call(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self.raises:
+            raise self.raises[name]
 
     def open(self, hands: Mapping[Any, Hand], config: Mapping[str, Any]) -> None:
-        self.opened, self.config = self.opened + 1, config
+        assert not self.is_open
+        self._call("open")
+        self.is_open, self.config = True, config
 
     def send(self, tick: Tick) -> None:
+        assert self.is_open
         time.sleep(self.slow_s)
-        if self.fails:
-            raise SinkError("the cable is out")
+        self._call("send")
         self.ticks.append(tick)
 
     def stalled(self, seconds: float) -> None:
+        assert self.is_open
+        self._call("stalled")
         self.silences.append(seconds)
 
     def close(self) -> None:
-        self.closed += 1
+        self.is_open = False
+        self._call("close")
 
 
 def record(path: Path, hand: Hand, ticks: Iterable[Tick], config: Mapping[str, Any] = {}) -> Any:

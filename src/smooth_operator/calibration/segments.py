@@ -110,17 +110,12 @@ def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[S
     return sorted(segments, key=lambda segment: segment.start)
 
 
-def _relative(features: Features) -> Float[np.ndarray, "T 4"]:
-    """Straightness of the long fingers relative to their maximum, which is below 1 because of
-    noise."""
-    straight = features.straightness[:, 1:]
-    return np.asarray(straight / np.clip(np.nanpercentile(straight, 98, axis=0), 0.9, 1.0))
-
-
 def _pinches(features: Features, stamps: np.ndarray, i: int) -> Iterator[Segment]:
     gaps = features.gaps
     others = np.delete(gaps, i, axis=1).min(axis=1)
-    fist = _relative(features).max(axis=1) <= FIST + 0.1
+    straight = features.straightness[:, 1:]
+    largest = np.clip(np.nanpercentile(straight, 98, axis=0), 0.9, 1.0)  # below 1 with noise
+    fist = (straight / largest).max(axis=1) <= FIST + 0.1
     near = (gaps[:, i] < PINCH_REACH) & (gaps[:, i] <= others) & ~fist
     for start, stop in _runs(near, stamps, _PINCH_S):
         gap = gaps[start:stop, i]
@@ -131,13 +126,9 @@ def _pinches(features: Features, stamps: np.ndarray, i: int) -> Iterator[Segment
             held = slice(start + first, start + last)
             alone = float(np.nanmedian(others[held] - gaps[held, i]))
             sure = min((1.25 * PINCH_REACH - depth) / PINCH_REACH, alone / _OTHER_NEAR)
-            yield _segment(FINGERS[i + 1], held.start, held.stop, stamps, sure)
-
-
-def _segment(finger: str, start: int, stop: int, stamps: np.ndarray, quality: float) -> Segment:
-    held = min(1.0, float(stamps[stop - 1] - stamps[start]) / _SURE_S)
-    confidence = float(np.clip(quality, 0.05, 1.0)) * (0.3 + 0.7 * held)
-    return Segment(finger, int(start), int(stop), round(confidence, 3))
+            length = min(1.0, float(stamps[held.stop - 1] - stamps[held.start]) / _SURE_S)
+            confidence = float(np.clip(sure, 0.05, 1.0)) * (0.3 + 0.7 * length)
+            yield Segment(FINGERS[i + 1], held.start, held.stop, round(confidence, 3))
 
 
 def _runs(

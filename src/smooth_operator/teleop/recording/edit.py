@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -108,10 +109,8 @@ def _start(path: Path) -> int:
 
 def _readable(path: Path) -> Iterable[Any]:
     """The records of a log up to its end, or to the place where it was cut off."""
-    try:
+    with contextlib.suppress(DamagedError):
         yield from log_records(path)
-    except DamagedError:
-        return
 
 
 def _copy(path: Path, output: Path, edit: Edit, start: int) -> Mapping[str, Any]:

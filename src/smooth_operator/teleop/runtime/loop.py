@@ -9,22 +9,19 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.teleop.runtime.limiter import RateLimiter
-from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.pipeline import Answer, HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
 from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
-
-if TYPE_CHECKING:
-    from smooth_operator.teleop.runtime.pipeline import Answer, HandPipeline
 
 
 class TeleopLoop:
@@ -312,7 +309,7 @@ def _thread(work: Callable[[], None], name: str, end: Callable[[], None]) -> Ite
         thread.join()
 
 
-Change: TypeAlias = Callable[["HandPipeline"], None]
+Change: TypeAlias = Callable[[HandPipeline], None]
 """Function that changes a hand's pipeline between two of its steps."""
 
 

@@ -92,9 +92,7 @@ class LinkState:
         address: address of the headset; None if no headset is connected.
         session: number of this connection, counted from 1; 0 before the first connection.
         tracking: True while the headset's page tracks.
-        frames: number of hand frames since the start of the source.
         bad: number of unreadable messages.
-        skipped: number of frames that the page did not send because the link was slow.
         refused: number of wrong pairing codes.
         rate_hz: rate of frames with a hand over the last second [Hz].
         round_trip_s: round trip as the page measures it; NaN if unknown.
@@ -105,9 +103,7 @@ class LinkState:
     address: str | None = None
     session: int = 0
     tracking: bool = False
-    frames: int = 0
     bad: int = 0
-    skipped: int = 0
     refused: int = 0
     rate_hz: float = 0.0
     round_trip_s: float = float("nan")
@@ -143,7 +139,6 @@ class Link:
         self._current: ServerConnection | None = None
         self._state = LinkState()
         self._bad_in_a_row = 0
-        self._next: int | None = None
         self._received: deque[float] = deque(maxlen=512)
         self._sources: dict[Side, bool] = {}  # True if the last hand was that of a controller
         self._changes = Counter[Side]()  # of these
@@ -235,7 +230,6 @@ class Link:
         self._begin(address)
         self._state.session += 1
         self._bad_in_a_row = 0
-        self._next = None
         if old is not None:
             # On its own: a headset that is asleep must not keep the new one waiting.
             self._keep(asyncio.create_task(old.close(REPLACED, "another headset took over")))
@@ -254,13 +248,9 @@ class Link:
             self._count_bad()
             return
         self._bad_in_a_row = 0
-        if self._next is not None and packet.number > self._next:
-            self._state.skipped += packet.number - self._next
-        self._next = packet.number + 1
         if any(frame.valid is not None and frame.valid.any() for frame in packet.frames):
             self._received.append(received)
         for frame in packet.frames:
-            self._state.frames += 1
             by_controller = frame.side in packet.controllers
             if self._sources.get(frame.side, by_controller) != by_controller:
                 self._changes[frame.side] += 1  # a new session, to which the robot moves smoothly
@@ -356,12 +346,10 @@ class Packet:
     """Message with the hands of one XR frame.
 
     Attributes:
-        number: number of the frame.
         frames: visible hands, left first, with stamps by the page's clock.
         controllers: sides whose hand was computed from a controller.
     """
 
-    number: int
     frames: tuple[HandFrame, ...]
     controllers: frozenset[Side] = frozenset()
 
@@ -370,7 +358,7 @@ def read_packet(message: bytes) -> Packet:
     """Reads a message from the page; RecordingError if it is not valid."""
     if len(message) < HEADER.size or message[:4] != MAGIC:
         raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
-    _, number, stamp, hands, space = HEADER.unpack_from(message)
+    _, _, stamp, hands, space = HEADER.unpack_from(message)
     if not abs(stamp) < LATEST_STAMP_S:
         raise RecordingError(f"the timestamp must be a finite number of seconds, not {stamp:.6g}")
     sides = [side for bit, side in _SIDES if hands & bit]
@@ -388,7 +376,7 @@ def read_packet(message: bytes) -> Packet:
     joints = values.reshape(len(sides), JOINTS, VALUES)
     world = f"webxr/{SPACES[space]}" if space < len(SPACES) else "webxr"
     frames = tuple(_frame(joints[i], stamp, side, world) for i, side in enumerate(sides))
-    return Packet(number, frames, controllers)
+    return Packet(frames, controllers)
 
 
 def _frame(joints: Float[np.ndarray, "25 8"], stamp: float, side: Side, world: str) -> HandFrame:
