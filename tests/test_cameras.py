@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser_page import new_page
+from live_loop import panel_of, serving
 from live_time import until as eventually
 from pictures import opencv_or_skip
 
@@ -19,10 +20,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.camera import SimulatedCamera
 from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.cameras import LATE_S, Cameras
-from smooth_operator.teleop.pages.live.live_panel import LivePanel
-from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.live.stop_panel import StopPanel
-from smooth_operator.teleop.pages.viser_server import open_server, page_url
+from smooth_operator.teleop.pages.viser_server import page_url
 from smooth_operator.teleop.sinks.simulation import Simulation
 
 cv2 = opencv_or_skip()
@@ -168,11 +166,8 @@ def test_a_camera_needs_a_page_and_must_be_there_before_anything_moves(tmp_path)
 @pytest.mark.browser
 def test_the_live_page_shows_pictures_with_their_age(chromium):
     hands: Any = {"right": load_hand("mimic_p050")}
-    server = open_server("127.0.0.1", 0)
-    try:
-        scene = LiveScene(server, hands, False)
-        stop = StopPanel(server, lambda _: None, attended=True)
-        panel = LivePanel(server, hands, lambda *_: None, scene, stop)
+    with serving() as server:
+        panel = panel_of(server, hands)
         assert panel.pictures == []
         picture = np.full((48, 64, 3), ORANGE, np.uint8)
         jpeg = base64.b64encode(cv2.imencode(".jpg", picture)[1].tobytes()).decode()
@@ -193,5 +188,3 @@ def test_the_live_page_shows_pictures_with_their_age(chromium):
         assert image.evaluate("image => image.naturalWidth") == 64  # the last picture
         assert problems == []
         page.close()
-    finally:
-        server.stop()

@@ -7,13 +7,14 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from live_loop import Running, running, session_of
 from live_time import PATIENCE_S, until
 from ticks import make_tick
 
@@ -26,18 +27,18 @@ from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator.teleop.control.bindings import ACTIONS, inputs_of, read_bindings
+from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.pedal import pedal
 from smooth_operator.teleop.control.pinches import sides_of, watched
 from smooth_operator.teleop.control.rpc import RpcHandlers, RpcServer, remote
 from smooth_operator.teleop.control.switches import actions, help_line, pressing, terminal_keys
 from smooth_operator.teleop.pages.live import live_texts
-from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.runtime.limiter import EXTRA
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import SinkRunner
-from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import Mode, WristCommand
 from smooth_operator.teleop.sources.live import Arrival, Mailbox, SourceHealth
 
 zmq = pytest.importorskip("zmq")
@@ -79,17 +80,6 @@ class Silence:
         return SourceHealth("running")
 
 
-@dataclass
-class Running:
-    """A loop that runs, and what left it."""
-
-    loop: TeleopLoop
-    ticks: list[Tick] = field(default_factory=list)
-
-    def mode(self) -> Mode:
-        return self.ticks[-1].mode
-
-
 @pytest.fixture(scope="module")
 def retargeter() -> Retargeter:
     built = Retargeter(load_hand("mimic_p050"), method="joint_angle")
@@ -98,19 +88,15 @@ def retargeter() -> Retargeter:
 
 
 @pytest.fixture
-def running(retargeter: Retargeter) -> Iterator[Running]:
+def loop(retargeter: Retargeter) -> TeleopLoop:
     config = LoopConfig(rate=RATE)
-    pipelines = {"right": HandPipeline(retargeter, config)}
-    loop = TeleopLoop(pipelines, Silence(), SinkRunner(), config)
-    built = Running(loop)
-    loop.watch = built.ticks.append
-    thread = threading.Thread(target=loop.run, daemon=True)
-    thread.start()
-    until(lambda: built.ticks)
-    yield built
-    loop.controls.quit()
-    thread.join(PATIENCE_S)
-    assert not thread.is_alive()
+    return TeleopLoop({"right": HandPipeline(retargeter, config)}, Silence(), SinkRunner(), config)
+
+
+@pytest.fixture(name="running")
+def _running(loop: TeleopLoop) -> Iterator[Running]:
+    with running(loop) as run:
+        yield run
 
 
 class Client:
@@ -296,57 +282,43 @@ def terminal(running: Running, monkeypatch: pytest.MonkeyPatch) -> Iterator[Term
     os.close(master)
 
 
-def stays(running: Running, mode: Mode) -> None:
-    """The mode is so now, and some commands later."""
-    until(lambda: running.mode() is mode)
-    first = len(running.ticks)
-    until(lambda: len(running.ticks) > first + 5)
-    assert {tick.mode for tick in running.ticks[first:]} == {mode}
-
-
 @pytest.mark.parametrize("key", [b" ", b"\x1b", b"x", b"X", b"\x1b[A", b"\x1bu"])
 def test_a_stop_key_stops_whoever_released_last(running, terminal, key):
     assert "STOPPED" in terminal.press(key)
-    stays(running, Mode.STOPPED)
+    running.stays(Mode.STOPPED)
     running.loop.controls.release()  # on the page, or by another program
-    stays(running, Mode.WAITING)
+    running.stays(Mode.WAITING)
     assert "STOPPED" in terminal.press(key)
-    stays(running, Mode.STOPPED)
+    running.stays(Mode.STOPPED)
     terminal.press(key)  # again: it does not release
-    stays(running, Mode.STOPPED)
+    running.stays(Mode.STOPPED)
     assert terminal.press(b"p") == "STOPPED; first release the stop: u"
-    stays(running, Mode.STOPPED)
+    running.stays(Mode.STOPPED)
     assert terminal.press(b"u") == "released"
-    stays(running, Mode.WAITING)
+    running.stays(Mode.WAITING)
     assert "not stopped" in terminal.press(b"u")
 
 
 def test_pause_asks_what_the_robot_does(running, terminal):
     assert "paused" in terminal.press(b"p")
-    stays(running, Mode.PAUSED)
+    running.stays(Mode.PAUSED)
     running.loop.controls.resume()  # on the page
-    stays(running, Mode.WAITING)
+    running.stays(Mode.WAITING)
     assert "paused" in terminal.press(b"p")
-    stays(running, Mode.PAUSED)
+    running.stays(Mode.PAUSED)
     terminal.press(b"x")
-    stays(running, Mode.STOPPED)
+    running.stays(Mode.STOPPED)
     terminal.press(b"u")
-    stays(running, Mode.PAUSED)  # the clutch is as it was
+    running.stays(Mode.PAUSED)  # the clutch is as it was
     assert terminal.press(b"p") == "resumed"
-    stays(running, Mode.WAITING)
+    running.stays(Mode.WAITING)
 
 
 def test_a_key_that_goes_wrong_is_not_the_last(running, terminal, capfd):
     os.write(terminal.master, b"g")
     terminal.press(b" ")
-    stays(running, Mode.STOPPED)
+    running.stays(Mode.STOPPED)
     assert "IndexError" in capfd.readouterr().err
-
-
-@pytest.fixture
-def loop(retargeter) -> TeleopLoop:
-    config = LoopConfig()
-    return TeleopLoop({"right": HandPipeline(retargeter, config)}, Silence(), SinkRunner(), config)
 
 
 def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something():
@@ -363,7 +335,7 @@ def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something():
 
 
 def test_the_page_is_told_both_wrists(loop):
-    session = LiveSession(loop, make_request(method="joint_angle"))
+    session = session_of(loop, MethodSwitcher(loop, make_request(method="joint_angle")))
     (pipeline,) = loop.pipelines.values()
     target = WristCommand(np.array([0.4, 0.0, 3.0, 0.0, 1.0, 0.0, 0.0]), True, True)
     poses = (None, np.array([0.1, 0.2, 1.0, 1.0, 0.0, 0.0, 0.0]), np.full(7, np.nan))

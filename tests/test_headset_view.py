@@ -24,7 +24,7 @@ from smooth_operator.poses import compose, invert, rotate
 from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.teleop.cameras import Shot
 from smooth_operator.teleop.pages.headset_view import HeadsetView
-from smooth_operator.teleop.pages.live.live_session import Scenery
+from smooth_operator.teleop.pages.live.live_session import task_scenes
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.webxr import WebXr
@@ -51,15 +51,15 @@ class Session:
         self.seen: Arrival | None = None
         self.trouble: Exception | None = None
         self.cameras: Any = None
-        self._scenery = None if simulation is None else Scenery(simulation)
+        self._simulation = simulation
 
     def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
         assert not text
         if self.trouble is not None:
             raise self.trouble
         shown: dict[str, Any] = {"hands": {self.side: self.state}}
-        if self._scenery is not None:
-            shown["scenery"] = self._scenery.look((self.side,), scenery)
+        if self._simulation is not None:
+            shown["scenery"] = task_scenes(self._simulation, (self.side,), scenery)
         return json.loads(json.dumps(shown))
 
     def arrival(self, side: Side) -> Arrival | None:

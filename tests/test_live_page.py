@@ -23,6 +23,7 @@ import pytest
 import viser
 from browser_page import changed, nameless, new_page, picture, settled
 from hostile_texts import ATTACK, guarded_page, hostile_hand
+from live_loop import Running, panel_of, running, serving, session_of
 from live_time import PATIENCE_S
 from live_time import until as eventually
 
@@ -31,14 +32,14 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.planning import make_request
 from smooth_operator.teleop import PageSettings, TeleopRequest, teleoperate
 from smooth_operator.teleop.components import build_source
+from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.pages.live import drawing, live_texts
 from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
 from smooth_operator.teleop.pages.live.live_page import Link, LivePage, LoopLink, PageSetup
-from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
 from smooth_operator.teleop.pages.live.stop_panel import StopPanel
-from smooth_operator.teleop.pages.viser_server import open_server, page_url
+from smooth_operator.teleop.pages.viser_server import page_url
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.take_quality import take_quality
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -53,14 +54,21 @@ RATE = 50.0
 
 @dataclass
 class Stage:
-    """A running loop with a page's session, and what it did."""
+    """A running loop with a page's session."""
 
-    loop: TeleopLoop
+    run: Running
     session: LiveSession
-    ticks: list[Tick] = field(default_factory=list)
+
+    @property
+    def loop(self) -> TeleopLoop:
+        return self.run.loop
+
+    @property
+    def ticks(self) -> list[Tick]:
+        return self.run.ticks
 
     def mode(self) -> Mode:
-        return self.ticks[-1].mode
+        return self.run.mode()
 
     def see(self) -> dict[str, Any]:
         return self.session.look(text=True)
@@ -75,25 +83,11 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     config = LoopConfig(rate=RATE, safety=SafetyConfig(stale_s=PATIENCE_S, lost_s=PATIENCE_S))
     source = build_source(f"synthetic:seed=4,rate={RATE},wrist=0")
     loop = TeleopLoop({"right": HandPipeline(retargeter, config)}, source, SinkRunner(), config)
-    folder = tmp_path_factory.mktemp("live")
-    built = Stage(loop, LiveSession(loop, asked, folder=folder))
-
-    def watch(tick: Tick) -> None:
-        built.session.watch(tick)
-        built.ticks.append(tick)
-
-    loop.watch = watch
-    turn = sys.getswitchinterval()
-    sys.setswitchinterval(5e-4)  # as the command does
-    thread = threading.Thread(target=loop.run)
-    thread.start()
-    eventually(lambda: built.ticks and built.mode() is Mode.TRACKING)
-    yield built
-    loop.controls.quit()
-    thread.join(PATIENCE_S)
-    built.session.close()
-    sys.setswitchinterval(turn)
-    assert not thread.is_alive()
+    session = session_of(loop, MethodSwitcher(loop, asked), tmp_path_factory.mktemp("live"))
+    with running(loop, session.watch) as run:
+        eventually(lambda: run.mode() is Mode.TRACKING)
+        yield Stage(run, session)
+    session.close()
 
 
 def test_what_is_shown_is_what_the_loop_does(stage):
@@ -282,18 +276,12 @@ def take(stage: Stage) -> dict[str, Any]:
     return stage.see()["controls"]["take"]
 
 
-def passes(stage: Stage, ticks: int = 25) -> None:
-    """Waits for some commands."""
-    first = len(stage.ticks)
-    eventually(lambda: len(stage.ticks) > first + ticks)
-
-
 @contextlib.contextmanager
 def recording(stage: Stage) -> Iterator[None]:
     """Records a take."""
     stage.session.do("record")
     eventually(lambda: take(stage)["recording"])
-    passes(stage)
+    stage.run.passes()
     assert take(stage)["seconds"] > 0
     yield
     stage.session.do("record")
@@ -349,11 +337,11 @@ def test_the_quality_of_a_take(stage):
     kept = take(stage)["kept"]
     with recording(stage):
         stage.loop.controls.change(lambda hand: hand.hold())
-        passes(stage)
+        stage.run.passes()
         stage.loop.controls.change(lambda hand: hand.go_on())
         for begin, end in (("pause", "pause"), ("stop", "release")):
             stage.session.do(begin)
-            passes(stage)
+            stage.run.passes()
             stage.session.do(end)
         eventually(lambda: stage.mode() is Mode.TRACKING)
     path, hand = Path(take(stage)["last"][0]), load_hand("mimic_p050")
@@ -424,17 +412,6 @@ def socket_status(port: int, path: str = "/", **headers: str) -> int:
         "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
     }
     return fetch(port, path, **upgrade, **headers)[0]
-
-
-@contextlib.contextmanager
-def serving(host: str = "127.0.0.1") -> Iterator[Any]:
-    """A server without reflections, which a software renderer takes seconds to prepare."""
-    server = open_server(host, 0)
-    server.scene.configure_environment_map(None)
-    try:
-        yield server
-    finally:
-        server.stop()
 
 
 def unframed(*answers: dict[str, str]) -> None:
@@ -614,9 +591,7 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
     seen["cameras"] = [camera]
     hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
     with serving() as server, guarded_page(chromium) as page:
-        scene = LiveScene(server, hands, False)
-        stop = StopPanel(server, lambda _: None, attended=True)
-        panel = LivePanel(server, hands, lambda *_: None, scene, stop)
+        panel = panel_of(server, hands)
         panel.show(seen)
         panel.show_meshes(False, f"{ATTACK} note")
         page.goto(page_url("127.0.0.1", server))
@@ -635,9 +610,7 @@ def test_contact_is_heard_while_the_operator_moves_the_robot(chromium, stage):
     state = seen["hands"]["right"]
     with serving() as server:
         hands: dict[Side, Any] = {"right": load_hand("mimic_p050")}
-        scene = LiveScene(server, hands, simulated=True)
-        stop = StopPanel(server, lambda _: None, attended=True)
-        panel = LivePanel(server, hands, lambda *_: None, scene, stop)
+        panel = panel_of(server, hands, simulated=True)
 
         def show(mode: str, *contact: float) -> None:
             hand = {**state, "mode": mode, "contact": list(contact) or None}
@@ -684,14 +657,6 @@ def drawing_of(server: Any, hand: str) -> tuple[LiveDrawing, dict[str, Any]]:
     link: Any = SimpleNamespace(do=lambda *_: None)
     setup = dataclasses.asdict(PageSetup(hand, details=False, meshes=False))
     return LiveDrawing(server, link, setup, StopPanel(server, link.do, attended=True)), setup
-
-
-def stays(stage: Stage, mode: Mode) -> None:
-    """The mode is so now, and some commands later."""
-    eventually(lambda: stage.mode() is mode)
-    first = len(stage.ticks)
-    passes(stage, 10)
-    assert {tick.mode for tick in stage.ticks[first:]} == {mode}
 
 
 def tracks(page: Any, stage: Stage) -> None:
@@ -793,7 +758,7 @@ def test_a_page_without_a_connection_says_that_its_stop_does_not_work(chromium, 
     lost.wait_for(state="detached")
     served._process.kill()  # a page that dies harms nothing
     eventually(lambda: served.trouble)
-    stays(stage, Mode.TRACKING)
+    stage.run.stays(Mode.TRACKING)
     assert "the loop continues without it" in capfd.readouterr().err
     lost.wait_for()
     page.close()
@@ -974,7 +939,7 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     eventually(lambda: stage.mode() is Mode.PAUSED)
     page.get_by_role("button", name="Resume").wait_for()
     page.keyboard.press("Space")
-    stays(stage, Mode.STOPPED)
+    stage.run.stays(Mode.STOPPED)
     tracks(page, stage)
 
     stop = page.locator("button:has(.icon-tabler-hand-stop)")
@@ -989,7 +954,7 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
         if key == "Space":  # and once more on the button that releases
             release.focus()
             page.keyboard.press(key)
-            stays(stage, Mode.STOPPED)
+            stage.run.stays(Mode.STOPPED)
         tracks(page, stage)
 
     # the whole page says so, and each button what it does
@@ -1009,7 +974,7 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     assert page.get_by_role("button", name="Pause").is_disabled()
 
     page.keyboard.press("p")  # which releases nothing
-    stays(stage, Mode.STOPPED)
+    stage.run.stays(Mode.STOPPED)
     page.keyboard.press("u")
     eventually(lambda: stage.mode() is Mode.TRACKING)
     page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()

@@ -230,7 +230,8 @@ def test_the_player_and_the_live_scene_place_meshes_as_simple_shapes(root):
     server = open_server("127.0.0.1", 0)
     try:
         player = Scene(server, [Playback("t", hand, trace, there)])
-        live = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": there})
+        live = LiveScene(server, {"right": hand}, simulated=False)
+        live.add_meshes({"right": HandView(there)})
         player.draw(3)
         live.draw({"right": state})
         for robot in (player.robots[0], live._sides["right"].robot):

@@ -7,12 +7,13 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from live_loop import Running, panel_of, running, serving, session_of
 from live_time import PATIENCE_S, until
 
 from smooth_operator import Retargeter, load_hand, method_names
@@ -32,11 +33,7 @@ from smooth_operator.simulation.tasks.task_session import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc import RpcHandlers, remote
-from smooth_operator.teleop.pages.live.live_panel import LivePanel
-from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
-from smooth_operator.teleop.pages.live.stop_panel import StopPanel
-from smooth_operator.teleop.pages.viser_server import open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -54,15 +51,20 @@ zmq = pytest.importorskip("zmq")
 class Stage:
     """A running loop that listens, and who talks to it."""
 
-    loop: TeleopLoop
+    run: Running
     switcher: MethodSwitcher
-    simulation: Simulation
     runner: TrialRunner
-    handlers: RpcHandlers
     session: LiveSession
     folder: Path
     teleop: RemoteTeleop
-    ticks: list[Tick] = field(default_factory=list)
+
+    @property
+    def loop(self) -> TeleopLoop:
+        return self.run.loop
+
+    @property
+    def ticks(self) -> list[Tick]:
+        return self.run.ticks
 
     def do(self, word: str, **fields: Any) -> dict[str, Any]:
         end = time.monotonic() + PATIENCE_S
@@ -96,14 +98,7 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
     switcher = MethodSwitcher(loop, asked)
     opened: list[TrialRunner] = []
     handlers = RpcHandlers(loop, switcher, lambda: opened[0] if opened else None, blind=True)
-    session = LiveSession(loop, asked, (simulation,), folder, switcher=switcher, blind=True)
-    ticks: list[Tick] = []
-
-    def watch(tick: Tick) -> None:
-        session.watch(tick)
-        ticks.append(tick)
-
-    loop.watch = watch
+    session = session_of(loop, switcher, folder, simulation, blind=True)
 
     def started() -> None:
         about = lambda: {"method": switcher.used.method}  # noqa: E731
@@ -111,19 +106,13 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
         runner = TrialRunner(simulation, ("right",), folder / "trials", about, note=note)
         opened.append(runner)
 
-    turn = sys.getswitchinterval()
-    sys.setswitchinterval(5e-4)  # as the command does
-    with remote(loop, "tcp://127.0.0.1:*", handlers.by_command, handlers.status) as address:
-        thread = threading.Thread(target=lambda: loop.run(started=started))
-        thread.start()
-        until(lambda: ticks and ticks[-1].mode is Mode.TRACKING)
-        teleop = RemoteTeleop(address, 20.0)
-        yield Stage(loop, switcher, simulation, opened[0], handlers, session, folder, teleop, ticks)
-        loop.controls.quit()
-        thread.join(PATIENCE_S)
+    with (
+        remote(loop, "tcp://127.0.0.1:*", handlers.by_command, handlers.status) as address,
+        running(loop, session.watch, started) as run,
+    ):
+        until(lambda: run.mode() is Mode.TRACKING)
+        yield Stage(run, switcher, opened[0], session, folder, RemoteTeleop(address, 20.0))
     session.close()
-    sys.setswitchinterval(turn)
-    assert not thread.is_alive()
 
 
 def test_the_rate_is_what_another_program_asks_for(stage):
@@ -293,7 +282,7 @@ def test_blind_nothing_that_is_shown_names_the_method(stage):
     shown = json.dumps(stage.session.look(text=True))
     assert not [name for name in method_names() if name in shown]
     assert '"default"' not in shown  # nor the preset
-    open_eyed = LiveSession(stage.loop, make_request(), switcher=stage.switcher)
+    open_eyed = session_of(stage.loop, stage.switcher)
     assert "joint_angle" in json.dumps(open_eyed.look(text=True))
     assert stage.do("status")["method"] == "joint_angle"  # whom the page asked in vain
     seen = stage.session.look(text=True)
@@ -303,19 +292,14 @@ def test_blind_nothing_that_is_shown_names_the_method(stage):
 
 
 def test_blind_the_panel_has_no_switch(stage):
-    server = open_server("127.0.0.1", 0)
-    try:
-        hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
-        scene = LiveScene(server, hands, simulated=True)
-        stop = StopPanel(server, lambda _: None, attended=True)
-        panel = LivePanel(server, hands, lambda *_: None, scene, stop, True)
+    hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
+    with serving() as server:
+        panel = panel_of(server, hands, simulated=True, blind=True)
         panel.show(json.loads(json.dumps(stage.session.look(text=True))))
         texts = (panel._modes, panel._summary, panel._timing, panel._notice)
         shown = " ".join(text.content for text in texts)
         assert not [name for name in (*method_names(), "latches") if name in shown]
         assert not hasattr(panel, "_method")
-    finally:
-        server.stop()
 
 
 def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):

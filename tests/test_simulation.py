@@ -23,7 +23,7 @@ from smooth_operator.retargeting.palm import human_palm_axes
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.live.live_session import Scenery
+from smooth_operator.teleop.pages.live.live_session import task_scenes
 from smooth_operator.teleop.pages.viser_server import open_server
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
@@ -340,7 +340,7 @@ def page() -> Iterator[tuple[viser.ViserServer, LiveScene]]:
 
 
 def looked(simulation: Simulation, sides: tuple[Side, ...] = SIDES, known: int = 0) -> Any:
-    return json.loads(json.dumps(Scenery(simulation).look(sides, known)))  # as through the pipe
+    return json.loads(json.dumps(task_scenes(simulation, sides, known)))  # as through the pipe
 
 
 @pytest.mark.parametrize("task", ["card", "cube", "screwdriver"])

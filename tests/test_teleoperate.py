@@ -179,7 +179,7 @@ def test_a_file_stops_when_it_changes_or_is_gone(tmp_path):
     line = tmp_path / "value"
     line.write_text("1\n")
     loop = FakeLoop()
-    with stopped_by(loop, f"file:{line}"):
+    with stopped_by(loop, StopInput(f"file:{line}")):
         time.sleep(0.05)
         assert loop.stops == 0
         line.write_text("0\n")

@@ -50,7 +50,7 @@ from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.pedal import pedal
 from smooth_operator.teleop.control.pinches import sides_of, watched
 from smooth_operator.teleop.control.reporter import LoggingReporter, summarise
-from smooth_operator.teleop.control.rpc import RpcHandlers
+from smooth_operator.teleop.control.rpc import RpcHandlers, check_address, remote
 from smooth_operator.teleop.control.switches import (
     StopInput,
     actions,
@@ -206,11 +206,13 @@ def teleoperate(
             "--source webxr"
         )
     run.check(page)
-    with (
-        _opened_cameras(run),
-        ended_by_signals() as ending,
-        _open_page(page, run) as live_page,
-    ):
+    with contextlib.ExitStack() as opened:
+        if request.camera:
+            from smooth_operator.teleop.cameras import Cameras
+
+            run.cameras = opened.enter_context(Cameras(request.camera, run.sinks))
+        ending = opened.enter_context(ended_by_signals())
+        live_page = None if page is None else opened.enter_context(_open_page(page, run))
         summary = run.drive(ending, live_page)
         while run.next_request is not None and not ending.came:
             run.take_next()
@@ -248,8 +250,6 @@ class _Run:
         hands = {side: self.request.commanded(hand) for side, (hand, _) in self.hands.items()}
         SinkRunner(self.sinks).check(hands)
         if self.teleop.control is not None:
-            from smooth_operator.teleop.control.rpc import check_address
-
             check_address(self.teleop.control)
         if page is not None:
             from smooth_operator.teleop.pages.viser_server import free_port
@@ -399,15 +399,14 @@ class _Run:
 
             session = LiveSession(
                 loop,
-                request,
                 sinks,
-                switcher=switcher,
-                blind=blind,
+                switcher,
+                takes,
+                acts,
                 trial=trials.shown,
+                blind=blind,
                 other_hands=self.other_hands,
                 change_hand=lambda name: self.change_hand(name, loop, switcher),
-                takes=takes,
-                actions=acts,
                 cameras=self.cameras,
             )
             loop.watch = session.watch
@@ -442,8 +441,10 @@ class _Run:
             contextlib.nullcontext()
             if teleop.pedal is None
             else pedal(teleop.pedal, press, self.bindings, say),
-            terminal_keys(press) if self.attended else contextlib.nullcontext() as attended,
-            _remote(loop, teleop.control, handlers, reporter),
+            terminal_keys(press) if self.attended else contextlib.nullcontext(),
+            contextlib.nullcontext()
+            if teleop.control is None
+            else remote(loop, teleop.control, handlers.by_command, handlers.status) as address,
             stopped_by(loop, self.stop),
             _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as stack,
@@ -451,8 +452,10 @@ class _Run:
             loop.mailbox.bindings, loop.mailbox.press = self.bindings, press
             if self.pinches:
                 loop.mailbox.see = watched(self.pinches, press, source_gaps(source))
-            if attended:
+            if self.attended:
                 reporter.note(help_line(self.bindings, acts))
+            if address is not None:
+                reporter.note(f"listening for commands at {address}")
 
             def opened() -> None:
                 nonlocal granted
@@ -505,18 +508,6 @@ class _Run:
                         seed=self.request.seed,
                         cache=ProgramStore.of_user(),
                     ).warm_up()
-
-
-@contextlib.contextmanager
-def _opened_cameras(run: _Run) -> Iterator[None]:
-    """Opens the cameras of a run."""
-    if not run.teleop.camera:
-        yield
-        return
-    from smooth_operator.teleop.cameras import Cameras
-
-    with Cameras(run.teleop.camera, run.sinks) as run.cameras:
-        yield
 
 
 def _operator(path: Path | None, side: Side) -> OperatorProfile | None:
@@ -615,21 +606,6 @@ def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
         thread.join()
 
 
-@contextlib.contextmanager
-def _remote(
-    loop: TeleopLoop, address: str | None, handlers: RpcHandlers, reporter: Reporter
-) -> Iterator[None]:
-    """Listens for commands of other programs, if an address is given."""
-    if address is None:
-        yield
-        return
-    from smooth_operator.teleop.control.rpc import remote
-
-    with remote(loop, address, handlers.by_command, handlers.status) as bound:
-        reporter.note(f"listening for commands at {bound}")
-        yield
-
-
 @dataclass(frozen=True)
 class PageSettings:
     """Address and appearance of the live page. Needs the ``teleop`` extra.
@@ -650,11 +626,8 @@ class PageSettings:
 
 
 @contextlib.contextmanager
-def _open_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | None]:
-    """Starts the page's process and reports its address; None without a page."""
-    if page is None:
-        yield None
-        return
+def _open_page(page: PageSettings, run: _Run) -> Iterator[LivePage]:
+    """Starts the page's process and reports its address."""
     from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 
     with temporary_spec(run.request.hand) as hand:

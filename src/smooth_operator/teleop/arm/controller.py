@@ -91,20 +91,18 @@ class Clearance(mink.CollisionAvoidanceLimit):
         arm: the arm; its base frame is the world.
         model: model from ``_arm_model``.
         fingers: (g,) mask of the model's geoms that the hand's joints move.
+        box: bounds of the joint velocities.
 
     Attributes:
         nearest: smallest distance at the last step [m], except that of fingers and table; infinite
             if nothing is near.
-        low: (n,) lowest velocity of the joints in the next step [rad/s].
-        high: (n,) highest velocity of the joints in the next step [rad/s].
     """
 
     def __init__(
-        self, arm: ArmSpec, model: mujoco.MjModel, fingers: Bool[np.ndarray, " g"]
+        self, arm: ArmSpec, model: mujoco.MjModel, fingers: Bool[np.ndarray, " g"], box: _Box
     ) -> None:
         self.nearest = np.inf
-        self.low = self.high = np.zeros(len(arm.links))
-        self._arm = arm
+        self._arm, self._box = arm, box
         super().__init__(
             model,
             [([int(a)], [int(b)]) for a, b in _close_pairs(arm, model)],
@@ -145,8 +143,8 @@ class Clearance(mink.CollisionAvoidanceLimit):
         braking = _BRAKING * (np.abs(rows) @ self._arm.acceleration)
         bound = dt * np.minimum(min(_CLOSING, 0.5 / dt) * room, np.sqrt(2.0 * braking * room))
         # If no velocity within the joints' bounds keeps a distance, the arm brakes at its limits.
-        least = np.minimum(rows * self.low, rows * self.high).sum(axis=1) * dt
-        most = np.maximum(rows * self.low, rows * self.high).sum(axis=1) * dt
+        ends = rows * self._box.low, rows * self._box.high
+        least, most = np.minimum(*ends).sum(axis=1) * dt, np.maximum(*ends).sum(axis=1) * dt
         return mink.limits.Constraint(G=rows, h=np.maximum(bound, least + _LEEWAY * (most - least)))
 
 
@@ -339,14 +337,14 @@ class ArmController:
         self._hand_geoms = slice(self.model.ngeom - len(self._capsules), None)
         fingers = np.zeros(self.model.ngeom, bool)
         fingers[self._hand_geoms] = self._capsules.fingers
-        self._clearance = Clearance(arm, self.model, fingers)
+        self._box = _Box(self.model.nv)
+        self._clearance = Clearance(arm, self.model, fingers, self._box)
         self._orientation, posture = _SOFT_WEIGHTS if self._soft else _WEIGHTS
         self._task = mink.FrameTask(
             _SITE, "site", position_cost=1.0, orientation_cost=self._orientation
         )
         self._posture = mink.PostureTask(self.model, cost=posture, gain=0.02)
         self._posture.set_target(nominal)
-        self._box = _Box(self.model.nv)
         self._hand = mount.hand.full_configuration(mount.hand.neutral)
         self.limiter = self._limiter(nominal)
         self._before: Matrix | None = None
@@ -444,9 +442,7 @@ class ArmController:
         aim[:3, 3] += step[:3]
         aim[:3, :3] = mink.SO3.exp(step[3:]).as_matrix() @ now[:3, :3]
         self._task.set_target(mink.SE3.from_matrix(aim))
-        low, high = self.limiter.bounds(dt)
-        self._box.low, self._box.high = low, high
-        self._clearance.low, self._clearance.high = low, high
+        self._box.low, self._box.high = self.limiter.bounds(dt)
         limits: list[mink.Limit] = [self._box]
         if self._collisions:
             limits.append(self._clearance)

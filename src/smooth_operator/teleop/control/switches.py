@@ -140,21 +140,15 @@ def pressing(
 
 
 @contextlib.contextmanager
-def terminal_keys(press: Callable[[str], None]) -> Iterator[bool]:
-    """Passes on each key of the terminal as soon as it is pressed.
+def terminal_keys(press: Callable[[str], None]) -> Iterator[None]:
+    """Passes on each key of the terminal at ``sys.stdin`` as soon as it is pressed.
 
     On POSIX systems, arrow keys and others that send several characters count as Esc, because
     their sequence begins with it; the other characters are dropped.
 
     Args:
         press: called with each key's name in a table of inputs, on a thread of this function.
-
-    Yields:
-        True if there is a terminal; its mode is restored at the end.
     """
-    if not sys.stdin or not sys.stdin.isatty():
-        yield False
-        return
     done = threading.Event()
 
     def listen(read: Callable[[float], str | None]) -> None:
@@ -169,7 +163,7 @@ def terminal_keys(press: Callable[[str], None]) -> Iterator[bool]:
         thread = threading.Thread(target=listen, args=(read,), name="keys", daemon=True)
         thread.start()
         try:
-            yield True
+            yield
         finally:
             done.set()
             thread.join(1.0)
@@ -276,29 +270,25 @@ class StopInput:
 
 
 @contextlib.contextmanager
-def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Iterator[None]:
+def stopped_by(loop: TeleopLoop, stop: Callable[[], bool] | None) -> Iterator[None]:
     """Watches an external emergency stop while the block runs, and stops the loop.
 
     After the input is released, the loop stays stopped until a release by page, key or message.
 
     Args:
-        stop: text of a ``StopInput``, or a function that returns True while the stop is pressed;
-            None for no input.
-
-    Raises:
-        ConfigError, SourceError, MissingExtraError: as ``StopInput``.
+        stop: returns True while the stop is pressed; a ``StopInput`` is closed at the end. None for
+            no input.
     """
     if stop is None:
         yield
         return
-    pressed = StopInput(stop) if isinstance(stop, str) else stop
     over = threading.Event()
 
     def watch() -> None:
         was = False
         while not over.wait(_POLL_S):
             try:
-                now = bool(pressed())
+                now = bool(stop())
             except Exception:  # an error of the caller's function counts as a broken wire
                 now = True
             running = any(not hand.supervisor.stopped for hand in loop.pipelines.values())
@@ -315,8 +305,8 @@ def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Itera
     finally:
         over.set()
         thread.join(1.0)
-        if isinstance(pressed, StopInput):
-            pressed.close()
+        if isinstance(stop, StopInput):
+            stop.close()
 
 
 def _file(path: Path) -> Callable[[], bool]:

@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, UInt8
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.simulation.renderer import open_renderer
 from smooth_operator.teleop.pages.hand_view import (
@@ -25,6 +24,8 @@ from smooth_operator.teleop.pages.hand_view import (
     Rgb,
     camera_for,
     finger_colors,
+    moved,
+    palm_to_model,
     view_axes,
 )
 from smooth_operator.teleop.pages.player import Playback, check_runs
@@ -68,7 +69,7 @@ def save_clip(
     times = runs[0].times
     due = np.arange(times[0], times[-1] + 1e-9, 1.0 / RATE_HZ)
     rows = np.clip(np.searchsorted(times, due), 0, len(times) - 1)
-    panes = [_Pane(runs[0], None), *(_Pane(run, run) for run in runs)]
+    panes = [_Pane(runs[0], human=True), *(_Pane(run) for run in runs)]
     try:
         pictures = [
             _labelled(np.concatenate([pane.draw(int(row)) for pane in panes], axis=1), runs)
@@ -101,34 +102,35 @@ class _Pane:
     """Draws one hand of a run: the human hand, or the robot hand with its own materials.
 
     Args:
-        run: the run whose human hand or robot hand is drawn.
-        robot: the run, to draw its robot hand; None to draw the human hand.
+        run: the run whose hand is drawn.
+        human: True to draw the human hand, False to draw the robot hand.
     """
 
-    def __init__(self, run: Playback, robot: Playback | None) -> None:
-        self._human = None if robot else run.trace.human
+    def __init__(self, run: Playback, human: bool = False) -> None:
+        trace = run.trace
+        self._human = trace.human if human else None
         self._views: Float[np.ndarray, "T 7"] | None = None
         self._pinches, self._landmarks = run.pinches(), run.tips
         self._colors: list[Rgb] = [tuple(c) for c in finger_colors(len(run.tips)).tolist()]
         self._axes = view_axes(HandView(run.hand, simple=True))
-        if robot is None:
+        if human:
             self._model = mujoco.MjModel.from_xml_string("<mujoco/>")
-            self._tips = run.trace.human_tips
-            cloud = run.trace.human.reshape(-1, 3)
+            self._tips = trace.human_tips
+            cloud = trace.human.reshape(-1, 3)
             cloud = cloud[np.isfinite(cloud).all(axis=-1)]
         else:
-            drawn, trace = robot.drawn or robot.hand, robot.trace
-            self._model, (turn, origin) = drawn.model, _palm(drawn)
-            positions = np.tile(drawn.full_configuration(drawn.neutral), (len(robot), 1))
-            order = [drawn.joint_names.index(name) for name in robot.hand.joint_names]
+            drawn = run.drawn or run.hand
+            self._model, world = drawn.model, palm_to_model(drawn)
+            palm = poses.invert(world)
+            positions = np.tile(drawn.full_configuration(drawn.neutral), (len(run), 1))
+            order = [drawn.joint_names.index(name) for name in run.hand.joint_names]
             positions[:, order] = trace.joint_positions
-            self._qpos, self._axes = drawn.qpos(positions), self._axes @ turn.T
-            self._tips = trace.robot_tips @ turn.T + origin
-            if robot.palms is not None:  # the world as seen from a palm at rest
-                rest = np.concatenate([origin, poses.quaternions(turn)])
-                moved = poses.compose(rest, poses.invert(robot.palms))
-                self._views = poses.compose(moved, poses.invert(rest))
-            wrist = turn @ trace.robot_wrist + origin
+            self._qpos, self._axes = drawn.qpos(positions), poses.rotate(palm[3:], self._axes)
+            self._tips = moved(palm, trace.robot_tips)
+            if run.palms is not None:  # the world as seen from a palm at rest
+                seen = poses.compose(palm, poses.invert(run.palms))
+                self._views = poses.compose(seen, world)
+            wrist = moved(palm, trace.robot_wrist)
             cloud = np.concatenate([self._tips.reshape(-1, 3), [wrist]])
         self._data = mujoco.MjData(self._model)
         self._renderer = open_renderer(self._model, *PANE)
@@ -148,7 +150,7 @@ class _Pane:
         position, forward, up = self._position, self._forward, self._up
         if self._views is not None:
             view = self._views[frame]
-            position = view[:3] + poses.rotate(view[3:], position)
+            position = moved(view, position)
             forward, up = poses.rotate(view[3:], forward), poses.rotate(view[3:], up)
         for camera in scene.camera:  # a free camera of MuJoCo's has z upwards
             camera.pos, camera.forward, camera.up = position, forward, up
@@ -198,14 +200,6 @@ class _Pane:
         self._forward = (target - self._position) / np.linalg.norm(target - self._position)
         up = self._axes[1] - (self._axes[1] @ self._forward) * self._forward
         self._up = up / np.linalg.norm(up)
-
-
-def _palm(hand: Hand) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Rotation and origin of the palm in its model's world."""
-    data = mujoco.MjData(hand.model)
-    mujoco.mj_kinematics(hand.model, data)
-    palm = data.body(hand.spec.palm)
-    return palm.xmat.reshape(3, 3).copy(), palm.xpos.copy()
 
 
 def _rod(

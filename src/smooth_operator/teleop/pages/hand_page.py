@@ -96,7 +96,8 @@ class HandPage(PageServer):
             shades[end] = colors[finger]
         tips = np.isin(names, self.hand.tip_names)
         radii = np.where(tips, _TIP, _LANDMARK)
-        self._balls = add_balls(scene, "/landmarks/points", points, radii, shades)
+        self._balls = add_balls(scene, "/landmarks/points", shades)
+        self._balls.batched_scales = radii
         self._lines = scene.add_line_segments(
             "/landmarks/bones",
             np.zeros((len(bones), 2, 3)),

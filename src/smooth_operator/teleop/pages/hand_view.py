@@ -18,6 +18,7 @@ from smooth_operator import landmarks
 from smooth_operator.hands.capsules import hand_capsules
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.poses import rotate
 from smooth_operator.reporting.hand_surface import rgb, view_basis
 from smooth_operator.retargeting.palm import human_palm_axes
 
@@ -100,6 +101,21 @@ class HandView:
             at = [names.index(name) for name in chain if name in names]
             lines += [(number, a, b) for a, b in pairwise(at)]
         return lines
+
+
+def palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
+    """Pose of the model's world in the palm frame, which does not depend on the joints."""
+    data = mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
+    mujoco.mj_kinematics(hand.model, data)
+    palm, pose = data.body(hand.spec.palm), np.empty(7)
+    mujoco.mju_negPose(pose[:3], pose[3:], palm.xpos, palm.xquat)
+    return pose
+
+
+def moved(pose: Float[np.ndarray, "*n 7"], points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
+    """Points whose coordinates are given in a frame with this pose, in the frame of the pose."""
+    return np.asarray(rotate(pose[..., 3:], points) + pose[..., :3])
 
 
 _Parts = dict[int, list[trimesh.Trimesh]]  # body -> its surfaces

@@ -14,7 +14,6 @@ import numpy as np
 import viser
 from jaxtyping import Bool, Float
 
-from smooth_operator import poses
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
@@ -26,6 +25,7 @@ from smooth_operator.teleop.pages.hand_view import (
     HandView,
     css,
     finger_colors,
+    moved,
     plan,
     view_axes,
 )
@@ -452,13 +452,9 @@ def _bounds(run: Playback, robot: RobotLooks) -> Float[np.ndarray, "N 3"]:
     corners = [robot.shown.corners(run.trace.joint_positions[frame]) for frame in frames]
     tips = run.trace.robot_tips
     if run.palms is not None:
-        corners = [_moved(run.palms[i], each) for i, each in zip(frames, corners, strict=True)]
-        tips = _moved(run.palms[:, None], tips)
+        corners = [moved(run.palms[i], each) for i, each in zip(frames, corners, strict=True)]
+        tips = moved(run.palms[:, None], tips)
     return np.concatenate([tips.reshape(-1, 3), *corners])
-
-
-def _moved(pose: Float[np.ndarray, "*n 7"], points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
-    return np.asarray(poses.rotate(pose[..., 3:], points) + pose[..., :3])
 
 
 _PLAY, _PAUSE = "Play (Space)", "Pause (Space)"

@@ -20,7 +20,6 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
-from smooth_operator.poses import rotate
 from smooth_operator.teleop.pages.hand_view import (
     FOREARM,
     HIGHLIGHT,
@@ -30,6 +29,8 @@ from smooth_operator.teleop.pages.hand_view import (
     Rgb,
     finger_colors,
     linear,
+    moved,
+    palm_to_model,
 )
 
 if TYPE_CHECKING:
@@ -42,25 +43,32 @@ _LINKS = (*BONES, *pairwise(BASES))
 _PARENTS, _CHILDREN = (np.array(column) for column in zip(*_LINKS, strict=True))
 
 
-def add_balls(
+def _add_instances(
     scene: viser.SceneApi,
     name: str,
-    positions: Float[np.ndarray, "k 3"],
-    radii: Float[np.ndarray, " k"],
+    mesh: trimesh.Trimesh,
     colors: UInt8[np.ndarray, "k 3"],
+    scales: np.ndarray,
+    **more: Any,
 ) -> Any:
-    """Adds several spheres to a scene as one node."""
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    """Adds instances of a mesh to a scene as one node, all at the origin."""
     return scene.add_batched_meshes_simple(
         name,
-        ball.vertices,
-        ball.faces,
-        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1)),
-        batched_positions=positions,
-        batched_scales=radii,
+        mesh.vertices,
+        mesh.faces,
+        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(colors), 1)),
+        batched_positions=np.zeros((len(colors), 3)),
+        batched_scales=scales,
         batched_colors=linear(colors),
         lod="off",
+        **more,
     )
+
+
+def add_balls(scene: viser.SceneApi, name: str, colors: UInt8[np.ndarray, "k 3"]) -> Any:
+    """Adds several spheres without a size to a scene as one node."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    return _add_instances(scene, name, ball, colors, np.zeros(len(colors)))
 
 
 class HumanView:
@@ -81,20 +89,9 @@ class HumanView:
         self._bone_radii = np.where(palm, _PALM_BONE, _BONE)
 
         rod = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=20, cap=False)
-        none = np.zeros((NUM_LANDMARKS, 3))
-        self._joints = add_balls(
-            scene, f"{root}/joints", none, np.zeros(NUM_LANDMARKS), self._colors
-        )
-        self._bones = scene.add_batched_meshes_simple(
-            f"{root}/bones",
-            rod.vertices,
-            rod.faces,
-            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(_LINKS), 1)),
-            batched_positions=np.zeros((len(_LINKS), 3)),
-            batched_scales=np.zeros((len(_LINKS), 3)),
-            batched_colors=linear(bone_colors),
-            lod="off",
-        )
+        self._joints = add_balls(scene, f"{root}/joints", self._colors)
+        none = np.zeros((len(_LINKS), 3))
+        self._bones = _add_instances(scene, f"{root}/bones", rod, bone_colors, none)
 
     def draw(self, landmarks: Float[np.ndarray, "21 3"], pinched: Bool[np.ndarray, " G"]) -> None:
         """Shows landmarks [m], NaN for missing ones. Pinching fingertips are larger and
@@ -167,15 +164,12 @@ def add_body(
         size: scale of the surface alone.
         flat: shade each face separately.
     """
-    return scene.add_batched_meshes_simple(
+    return _add_instances(
+        scene,
         name,
-        mesh.vertices,
-        mesh.faces,
-        batched_wxyzs=np.array([[1.0, 0.0, 0.0, 0.0]]),
-        batched_positions=np.zeros((1, 3)),
-        batched_scales=np.array([size]),
-        batched_colors=linear(np.array([color], np.uint8)),
-        lod="off",
+        mesh,
+        np.array([color], np.uint8),
+        np.array([size]),
         opacity=opacity,
         flat_shading=flat,
         side="double",  # some users' meshes have faces that are wound inward
@@ -294,7 +288,7 @@ class RobotBodies:
         owner, model = view.finger_of_body, drawn.model
         self._rest = drawn.full_configuration(drawn.neutral)
         self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
-        self._pose = _palm_to_model(drawn)
+        self._pose = palm_to_model(drawn)
         places = landmark_points(model, drawn.spec)
         self._tips = [places[name] for name in drawn.tip_names]
         self.first = BodyNodes(scene, model, meshes, owner, f"{root}/first")
@@ -317,14 +311,11 @@ class RobotBodies:
         """(F, 3) fingertips of the hand that was drawn last, in its palm frame [m]."""
         data = self.first.data
         tips = [data.xmat[body].reshape(3, 3) @ at + data.xpos[body] for body, at in self._tips]
-        return self._in_palm(np.array(tips))
+        return moved(self._pose, np.array(tips))
 
     def corners(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, "N 3"]:
         """(N, 3) corners of the bodies' bounding boxes, in the palm frame [m]."""
-        return self._in_palm(self.first.corners(self._qpos(every)))
-
-    def _in_palm(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        return np.asarray(rotate(self._pose[3:], points) + self._pose[:3])
+        return moved(self._pose, self.first.corners(self._qpos(every)))
 
     def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
         """Joint positions of the drawn model; joints that only it has stay at rest."""
@@ -395,23 +386,12 @@ class RobotLooks:
                 look.other.show(visible and self.second, TRANSLUCENT)
 
 
-def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
-    """Pose of the model's world in the palm frame, which does not depend on the joints."""
-    data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
-    mujoco.mj_kinematics(hand.model, data)
-    palm, pose = data.body(hand.spec.palm), np.empty(7)
-    mujoco.mju_negPose(pose[:3], pose[3:], palm.xpos, palm.xquat)
-    return pose
-
-
 class TargetMarks:
     """Marks the method's target for each fingertip, with a line from the robot's fingertip."""
 
     def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
         palette = finger_colors(count)
-        none = np.zeros((count, 3))
-        self._balls = add_balls(scene, f"{name}/places", none, np.zeros(count), palette)
+        self._balls = add_balls(scene, f"{name}/places", palette)
         lines = np.repeat(linear(palette)[:, None], 2, axis=1)
         self._lines = scene.add_line_segments(
             f"{name}/lines", np.zeros((count, 2, 3)), lines, thickness=_TARGET_LINE
@@ -455,10 +435,9 @@ class HandRow:
         self._human_name, *robots = words
         self.roots = {name: scene.add_frame(f"{root}/{name}", show_axes=False) for name in words}
         self.human = HumanView(scene, human_tips, f"{root}/{self._human_name}")
-        self._palette, none = finger_colors(count), np.zeros((count, 3))
+        self._palette = finger_colors(count)
         self.tips = {
-            name: add_balls(scene, f"{root}/{name}/tips", none, np.zeros(count), self._palette)
-            for name in robots
+            name: add_balls(scene, f"{root}/{name}/tips", self._palette) for name in robots
         }
         self.lines = {
             name: scene.add_line_segments(

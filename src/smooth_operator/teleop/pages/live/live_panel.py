@@ -211,10 +211,9 @@ class LivePanel:
         self._pause.label = f"{'Resume' if paused else 'Pause'}{self._keys['pause']}"
         self._pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
         self._show_take(controls["take"])
-        if "hands" in controls:
+        if "method" in controls:
             self._hand.visible = True
             _choose(self._hand, controls["hands"], self._hand_name)
-        if "method" in controls:
             presets = controls["presets"]
             _choose(self._method, list(presets), controls["method"])
             _choose(self._preset, presets[controls["method"]], controls["preset"])

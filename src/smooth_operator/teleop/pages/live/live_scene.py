@@ -42,6 +42,7 @@ from smooth_operator.teleop.pages.hand_view import (
     HandView,
     Rgb,
     body_meshes,
+    moved,
     view_axes,
 )
 from smooth_operator.teleop.pages.scene import (
@@ -208,12 +209,10 @@ class SceneryNodes:
 
     def bounds(self, pose: Sequence[float]) -> Float[np.ndarray, "c 3"]:
         """(c, 3) points around the object in a pose, in the palm frame [m]."""
-        turn = np.array(pose[3:], float)
-        corners: np.ndarray = poses.rotate(turn, _SPACE * self._corners) + np.array(pose[:3])
-        return corners
+        return moved(np.array(pose, float), _SPACE * self._corners)
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
-        """Replaces the shapes; see ``Scenery``."""
+        """Replaces the shapes; see ``task_scenes``."""
         for node, _, _ in self._parts:
             node.remove()
         self._parts = []
@@ -221,9 +220,10 @@ class SceneryNodes:
         self._count += 1  # a browser may still have the old nodes, so each name is used once
         for number, part in enumerate(parts):
             mesh, moves = _mesh(part["kind"], part["size"]), bool(part["moves"])
+            pose = np.array([*part["position"], *part["quaternion"]])
             if moves:
-                box = poses.rotate(np.array(part["quaternion"]), mesh.bounding_box.vertices)
-                self._corners = np.concatenate([self._corners, box + np.array(part["position"])])
+                box = moved(pose, mesh.bounding_box.vertices)
+                self._corners = np.concatenate([self._corners, box])
             *color, opacity = part["color"]
             opacity = opacity if moves else min(opacity, _STANDS)
             node = add_body(
@@ -235,7 +235,7 @@ class SceneryNodes:
                 flat=part["kind"] == "box",
                 scale=self._scale,
             )
-            self._parts.append((node, np.array([*part["position"], *part["quaternion"]]), moves))
+            self._parts.append((node, pose, moves))
         self._put()
 
     def draw(self, pose: Sequence[float] | None) -> None:
@@ -293,7 +293,6 @@ class HandsScene:
         scene: scene of a viser server, or one with the same methods.
         hands: side -> robot hand.
         simulated: True if there is a simulated hand.
-        drawn: side -> the same hand on a model with meshes; see ``add_meshes``.
         arm: settings of the arms that carry the hands; None for no arm.
         root: name of the root node; no earlier node of the scene may have used it.
         human: draw the operator's hands.
@@ -304,7 +303,6 @@ class HandsScene:
         scene: viser.SceneApi,
         hands: Mapping[Side, Hand],
         simulated: bool,
-        drawn: Mapping[Side, Hand] | None = None,
         arm: ArmSettings | None = None,
         root: str = "/live",
         human: bool = True,
@@ -318,7 +316,6 @@ class HandsScene:
             side: _SideView(scene, hands[side], simulated, f"{root}/{side}")
             for side in sorted(hands)  # left before right
         }
-        self.add_meshes({side: HandView(hand) for side, hand in (drawn or {}).items()})
         self._room = None if arm is None else ArmRoom(scene, hands, arm, simulated, root)
         self._floor = scene.add_grid(
             f"{root}/floor",
@@ -391,7 +388,7 @@ class HandsScene:
                     self._room.arms[side].draw(state["arm"], positions)
 
     def draw_scenery(self, scenery: Mapping[str, Any]) -> None:
-        """Shows new states of the task around each hand; see ``Scenery``."""
+        """Shows new states of the task around each hand; see ``task_scenes``."""
         self.scenery_number = scenery["number"]
         if "parts" in scenery:
             for side, view in self._sides.items():

@@ -6,14 +6,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
 from smooth_operator.retargeting.presets import live_presets
 from smooth_operator.simulation.arms.arm import inverse, pose_of, rigid
@@ -22,7 +20,6 @@ from smooth_operator.simulation.scenes import Scene, ScenePart
 from smooth_operator.simulation.scenes.scene import Mount
 from smooth_operator.teleop.cameras import Cameras
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
-from smooth_operator.teleop.control.switches import actions as loop_actions
 from smooth_operator.teleop.recording.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -46,47 +43,39 @@ class LiveSession:
 
     Args:
         loop: the running loop.
-        request: settings of the run.
         sinks: sinks at the start of the run; a simulated hand among them is shown with its task.
-        folder: folder of the recordings.
-        switcher: switcher of methods; None for a new one.
+        switcher: switcher of methods.
+        takes: recordings of the operator.
+        actions: actions of the operator's inputs.
         trial: returns the state of a task's trial, or None.
         blind: hide the method from the operator, who then can't change it.
-        change_hand: restarts the run with another hand, given its name; None if that is not
-            possible.
+        change_hand: restarts the run with another hand, given its name.
         other_hands: names for ``change_hand``.
-        takes: recordings of the operator; None for new ones.
-        actions: actions of the operator's inputs; None for those of the loop alone.
         cameras: cameras whose pictures the pages show; None without cameras.
     """
 
     def __init__(
         self,
         loop: TeleopLoop,
-        request: RetargetRequest,
-        sinks: Sequence[Sink] = (),
-        folder: Path = Path(),
+        sinks: Sequence[Sink],
+        switcher: MethodSwitcher,
+        takes: Takes,
+        actions: Mapping[str, Callable[[], None]],
         *,
-        switcher: MethodSwitcher | None = None,
-        blind: bool = False,
         trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
-        change_hand: Callable[[str], None] | None = None,
+        blind: bool = False,
+        change_hand: Callable[[str], None] = lambda name: None,
         other_hands: Sequence[str] = (),
-        takes: Takes | None = None,
-        actions: Mapping[str, Callable[[], None]] | None = None,
         cameras: Cameras | None = None,
     ) -> None:
         self.loop = loop
         self.cameras = cameras
         self._other_hands = list(other_hands)
         self._trial = trial
-        self.switcher = MethodSwitcher(loop, request) if switcher is None else switcher
+        self.switcher = switcher
         self.blind = blind
-        if takes is None:
-            takes = Takes(loop.sinks, folder / "takes", self.switcher.configuration)
         self.takes = takes
         self._simulation = simulated_hands(sinks)
-        self._scenery = None if self._simulation is None else Scenery(self._simulation)
         self._ticks: dict[Side, Tick] = {}
         self._arrivals: dict[Side, Arrival] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
@@ -94,18 +83,17 @@ class LiveSession:
         self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
         self._actions: dict[str, Callable[..., object]] = {
-            **(loop_actions(loop, {}, lambda text: None) if actions is None else actions),
+            **actions,
             "stop": self._stop,
             "release": self._release,
-            "record": self.takes.toggle,
-            "keep": self.takes.keep,
-            "discard": self.takes.discard,
+            "record": takes.toggle,
+            "keep": takes.keep,
+            "discard": takes.discard,
+            "hand": self._go_on_with,
         }
-        if change_hand is not None:
-            self._change_hand = change_hand
-            self._actions["hand"] = self._go_on_with
+        self._change_hand = change_hand
         if not blind:
-            self._actions["method"] = self.switcher.choose
+            self._actions["method"] = switcher.choose
         self._begun: dict[str, float] = {}
         self._stopping = False  # True until the loop carries out the last stop
         self._next_hand = ""
@@ -170,8 +158,9 @@ class LiveSession:
         }
         if (trial := self._trial()) is not None:
             shown["trial"] = dict(trial)
-        if self._scenery is not None:
-            shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
+        if self._simulation is not None:
+            sides = tuple(self.loop.pipelines)
+            shown["scenery"] = task_scenes(self._simulation, sides, scenery)
         if self.cameras is not None and pictures is not None:
             shown["cameras"] = self.cameras.states(now, pictures)
         if not self._ticks:  # nor have source and sinks started
@@ -273,8 +262,7 @@ class LiveSession:
             target = switcher.target
             controls["method"], controls["preset"] = target.method, target.preset
             controls["presets"] = live_presets()
-            if "hand" in self._actions:
-                controls["hands"] = self._other_hands
+            controls["hands"] = self._other_hands
         return controls
 
     def _elapsed(self, what: str, going_on: bool, now: float) -> float | None:
@@ -366,50 +354,46 @@ class RateMeter:
             self._start = number, time
 
 
-class Scenery:
-    """Provides the state of a simulation's task scenes as JSON values, in the palm frame."""
+def task_scenes(
+    simulation: LiveSimulation, sides: Sequence[Side], shown_number: int
+) -> dict[str, Any]:
+    """State of a simulation's task scenes as JSON values, in the palm frame.
 
-    def __init__(self, simulation: LiveSimulation) -> None:
-        self._simulation = simulation
+    Args:
+        shown_number: number of the scenes whose shapes the page already has.
 
-    def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
-        """Returns the task scenes.
-
-        Args:
-            shown_number: number of the scenes whose shapes the page already has.
-
-        Returns:
-            ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (wxyz) of the
-            object; ``away``: sides whose object is currently removed; ``fixtures``: side -> pose of
-            the palm frame in the base of an arm that carries the hand; for a new number also
-            ``parts``: side -> shapes, and ``views``: side -> rows right, up and toward the viewer.
-        """
-        simulation, number = self._simulation, self._simulation.world_number
-        shown: dict[str, Any] = {"number": number, "poses": {}, "away": [], "fixtures": {}}
-        try:
-            mounts = {side: simulation.scene_of(side).mount for side in sides}
-            for side, mount in mounts.items():
-                state = simulation.scene_state(side)
-                if state is not None:
-                    pose = mount.in_palm(state.position, state.quaternion)
-                    shown["poses"][side] = _numbers(*pose)
-                    if state.away:
-                        shown["away"].append(side)
-                if (base := simulation.arm_base(side)) is not None:
-                    position, turn = mount.palm
-                    fixture = pose_of(inverse(base) @ rigid(turn, position))
-                    shown["fixtures"][side] = _numbers(fixture)
-            if number != shown_number:
-                shown["parts"] = {
-                    side: [_part(mount, part) for part in simulation.parts_of(side)]
-                    for side, mount in mounts.items()
-                }
-                shown["views"] = {side: _view(simulation.scene_of(side), side) for side in sides}
-        except SinkError:  # no task, or the scene is changing
-            shown["poses"] = {}
-            if number != shown_number:
-                shown["parts"], shown["views"] = {}, {}
-        return shown
+    Returns:
+        ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (wxyz) of the
+        object; ``away``: sides whose object is currently removed; ``fixtures``: side -> pose of
+        the palm frame in the base of an arm that carries the hand; for a new number also
+        ``parts``: side -> shapes, and ``views``: side -> rows right, up and toward the viewer.
+    """
+    number = simulation.world_number
+    shown: dict[str, Any] = {"number": number, "poses": {}, "away": [], "fixtures": {}}
+    try:
+        mounts = {side: simulation.scene_of(side).mount for side in sides}
+        for side, mount in mounts.items():
+            state = simulation.scene_state(side)
+            if state is not None:
+                pose = mount.in_palm(state.position, state.quaternion)
+                shown["poses"][side] = _numbers(*pose)
+                if state.away:
+                    shown["away"].append(side)
+            if (base := simulation.arm_base(side)) is not None:
+                position, turn = mount.palm
+                fixture = pose_of(inverse(base) @ rigid(turn, position))
+                shown["fixtures"][side] = _numbers(fixture)
+        if number != shown_number:
+            shown["parts"] = {
+                side: [_part(mount, part) for part in simulation.parts_of(side)]
+                for side, mount in mounts.items()
+            }
+            shown["views"] = {side: _view(simulation.scene_of(side), side) for side in sides}
+    except SinkError:  # no task, or the scene is changing
+        shown["poses"] = {}
+        if number != shown_number:
+            shown["parts"], shown["views"] = {}, {}
+    return shown
 
 
 def _part(mount: Mount, part: ScenePart) -> dict[str, Any]:
