@@ -50,7 +50,7 @@ class Running:
 def running(
     loop: TeleopLoop,
     see: Callable[[Tick], None] = lambda tick: None,
-    started: Callable[[], None] | None = None,
+    started: Callable[[], None] = lambda: None,
 ) -> Iterator[Running]:
     """Runs a loop in a thread while the block runs; ``see`` gets each tick first."""
     built = Running(loop)

@@ -213,30 +213,6 @@ def test_at_most_one_frame_is_on_its_way_to_a_slow_browser():
     assert "0.4 s late" in live_texts.slow(0.41)
 
 
-def test_a_frame_is_sent_as_one_update():
-    calls: list[str] = []
-
-    @contextlib.contextmanager
-    def atomic() -> Iterator[None]:
-        calls.append("[")
-        yield
-        calls.append("]")
-
-    def noted(name: str) -> Any:
-        return lambda *_: calls.append(name)
-
-    page: Any = object.__new__(LiveDrawing)
-    page._scene = SimpleNamespace(draw=noted("draw"), draw_scenery=noted("scenery"))
-    page._panel, page._pace = SimpleNamespace(show=noted("show")), SimpleNamespace(delay=0.4)
-    page._server = SimpleNamespace(atomic=atomic, flush=noted("flush"))
-    page._draw({"hands": {}, "scenery": {}})
-    assert (calls[0], {*calls[1:4]}, calls[4:]) == (
-        "[",
-        {"show", "draw", "scenery"},
-        ["]", "flush"],
-    )
-
-
 WRIST = {"engaged": False, "released": False, "tracked": True}
 
 
@@ -688,18 +664,27 @@ def test_fingertips_in_contact_are_redder_and_larger():
         assert not [name for name in server.scene._handle_from_node_name if "right" in name]
 
 
-def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
+def test_what_browsers_get_in_one_update(monkeypatch):
+    """A frame is one update. A scene is none: a browser gets the stop while its hand is loaded."""
     held_back: list[int] = []
 
-    def loaded(*args: Any, **more: Any) -> Any:
+    def noted(*_: Any, **__: Any) -> None:
         held_back.append(server._websock_server.get_message_buffer().atomic_counter)
+
+    def loaded(*args: Any, **more: Any) -> Any:
+        noted()
         return load_hand(*args, **more)
 
     monkeypatch.setattr(drawing, "load_hand", loaded)
     with serving() as server:
         page, setup = drawing_of(server, "mimic_p050")
         page._change({**setup, "hand": "leap_hand"})
-    assert held_back == [0, 0]
+        assert held_back == [0, 0]
+        parts = (page._scene, "draw"), (page._scene, "draw_scenery"), (page._panel, "show")
+        for part, name in (*parts, (server, "flush")):
+            monkeypatch.setattr(part, name, noted)
+        page._draw({"hands": {}, "scenery": {}})
+    assert held_back == [0, 0, 1, 1, 1, 0]
 
 
 @pytest.mark.browser

@@ -161,27 +161,31 @@ class TurnedMailbox(Mailbox):
             self.now = after
 
 
-@pytest.mark.parametrize("after", [0.01, 0.1, 0.24])
-def test_an_emergency_stop_does_not_wait_for_the_pace(retargeters, after):
-    """Just after a command, of which there is one a second; the clock is the test's."""
-    sink, config = KeptTicks(), LoopConfig(rate=1.0, safety=SafetyConfig(lost_s=60.0))
-    mailbox = TurnedMailbox(103.75 + after, lambda: loop.controls.stop())
+def turned(
+    retargeters: Mapping[Side, Retargeter], rate: float, at: float, event: Callable[[Any], None]
+) -> list[Tick]:
+    """The ticks of a run of five seconds with an event, which gets the loop, at a time [s]."""
+    sink, config = KeptTicks(), LoopConfig(rate=rate, safety=SafetyConfig(lost_s=60.0))
+    mailbox = TurnedMailbox(at, lambda: event(loop))
     pipelines = {"right": HandPipeline(retargeters["right"], config, mailbox.clock)}
     loop = TeleopLoop(pipelines, Player([], 1.0), SinkRunner([sink]), config, mailbox=mailbox)
     loop.run(duration=5.0)
-    times = [tick.time for tick in sink.ticks if tick.mode is not Mode.STOPPED]
+    return sink.ticks
+
+
+@pytest.mark.parametrize("after", [0.01, 0.1, 0.24])
+def test_an_emergency_stop_does_not_wait_for_the_pace(retargeters, after):
+    """Just after a command, of which there is one a second; the clock is the test's."""
+    ticks = turned(retargeters, 1.0, 103.75 + after, lambda loop: loop.controls.stop())
+    times = [tick.time for tick in ticks if tick.mode is not Mode.STOPPED]
     assert times[-1] == pytest.approx(103.75, abs=1e-3)
-    (first, *_) = [tick for tick in sink.ticks if tick.mode is Mode.STOPPED]
+    (first, *_) = [tick for tick in ticks if tick.mode is Mode.STOPPED]
     assert first.time == pytest.approx(103.75 + after)
 
 
 def test_a_frame_between_two_turns_is_answered_as_it_comes(retargeters, frames):
-    sink, config = KeptTicks(), LoopConfig(rate=50.0)
-    mailbox = TurnedMailbox(101.007, lambda: mailbox.post(frames[0]))
-    pipelines = {"right": HandPipeline(retargeters["right"], config, mailbox.clock)}
-    loop = TeleopLoop(pipelines, Player([], 1.0), SinkRunner([sink]), config, mailbox=mailbox)
-    loop.run(duration=5.0)
-    (answer,) = [tick for tick in sink.ticks if tick.status is not None]
+    ticks = turned(retargeters, 50.0, 101.007, lambda loop: loop.mailbox.post(frames[0]))
+    (answer,) = [tick for tick in ticks if tick.status is not None]
     assert answer.time == pytest.approx(101.007, abs=1e-6)
 
 

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -54,6 +55,7 @@ from smooth_operator.teleop.control.rpc import RpcHandlers, check_address, remot
 from smooth_operator.teleop.control.switches import (
     StopInput,
     actions,
+    background,
     help_line,
     pressing,
     stopped_by,
@@ -584,12 +586,10 @@ def _compiling(
         raise errors[0]
 
 
-@contextlib.contextmanager
-def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
+def _announced(source: LiveSource, reporter: Reporter) -> AbstractContextManager[None]:
     """Reports the address and the code that the operator needs to connect."""
-    over = threading.Event()
 
-    def tell() -> None:
+    def tell(over: threading.Event) -> None:
         end = time.monotonic() + _ANNOUNCE_S
         while not (health := source.health()).detail and time.monotonic() < end:
             if over.wait(0.1):
@@ -597,13 +597,7 @@ def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
         if health.detail:
             reporter.note(f"{source.label}: {health.detail}", matters=health.state != "running")
 
-    thread = threading.Thread(target=tell, name="announce", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:  # a thread that outlives the command can abort the interpreter
-        over.set()
-        thread.join()
+    return background("announce", tell)
 
 
 @dataclass(frozen=True)

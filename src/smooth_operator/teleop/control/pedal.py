@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, SourceError
+from smooth_operator.teleop.control.switches import background
 
 # Linux: include/uapi/linux/input.h, input-event-codes.h, Documentation/input/input.rst.
 _EVENT: Final = struct.Struct("@llHHi")  # seconds, microseconds, type, code, value
@@ -46,10 +47,9 @@ def pedal(
             "--pedal reads a Linux input device; on this system, bind the key that the pedal "
             "types, such as --bind record=b, and keep the focus on the terminal or the page"
         )
-    device = _open(path)
-    over = threading.Event()
+    first = _open(path)
 
-    def read(device: int) -> None:
+    def read(device: int, over: threading.Event) -> None:
         """Pass on keys until the device or the block ends."""
         while not over.is_set():
             if not select.select([device], [], [], 0.1)[0]:
@@ -62,10 +62,11 @@ def pedal(
                     say(f"this pedal has no action; to give it one: --bind ACTION={name}")
                 press(name)
 
-    def work(device: int) -> None:
+    def work(over: threading.Event) -> None:
+        device = first
         while True:
             with contextlib.suppress(OSError):
-                read(device)
+                read(device, over)
             os.close(device)
             if over.is_set():
                 return
@@ -78,13 +79,8 @@ def pedal(
             else:
                 return
 
-    thread = threading.Thread(target=work, args=(device,), name="pedal", daemon=True)
-    thread.start()
-    try:
+    with background("pedal", work):
         yield
-    finally:
-        over.set()
-        thread.join(1.0)
 
 
 def _open(path: Path) -> int:

@@ -97,6 +97,23 @@ def help_line(bindings: Mapping[str, str], offered: Collection[str]) -> str:
 
 
 @contextlib.contextmanager
+def background(name: str, work: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Runs a function on a thread with a name while the block runs.
+
+    Args:
+        work: gets an event that is set at the end of the block, after which it should return.
+    """
+    over = threading.Event()
+    thread = threading.Thread(target=work, args=(over,), name=name, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(1.0)
+
+
+@contextlib.contextmanager
 def pressing(
     bindings: Mapping[str, str], actions: Mapping[str, Callable[[], None]]
 ) -> Iterator[Callable[[str], None]]:
@@ -149,24 +166,18 @@ def terminal_keys(press: Callable[[str], None]) -> Iterator[None]:
     Args:
         press: called with each key's name in a table of inputs, on a thread of this function.
     """
-    done = threading.Event()
-
-    def listen(read: Callable[[float], str | None]) -> None:
-        while not done.is_set():
-            pressed = read(0.1)
-            if pressed is None:
-                return
-            for key in pressed:
-                press(_NAMES.get(key, key.lower()))
-
     with _reader() as read:
-        thread = threading.Thread(target=listen, args=(read,), name="keys", daemon=True)
-        thread.start()
-        try:
+
+        def listen(over: threading.Event) -> None:
+            while not over.is_set():
+                pressed = read(0.1)
+                if pressed is None:
+                    return
+                for key in pressed:
+                    press(_NAMES.get(key, key.lower()))
+
+        with background("keys", listen):
             yield
-        finally:
-            done.set()
-            thread.join(1.0)
 
 
 @contextlib.contextmanager
@@ -282,9 +293,8 @@ def stopped_by(loop: TeleopLoop, stop: Callable[[], bool] | None) -> Iterator[No
     if stop is None:
         yield
         return
-    over = threading.Event()
 
-    def watch() -> None:
+    def watch(over: threading.Event) -> None:
         was = False
         while not over.wait(_POLL_S):
             try:
@@ -298,13 +308,10 @@ def stopped_by(loop: TeleopLoop, stop: Callable[[], bool] | None) -> Iterator[No
                 loop.controls.change(lambda hand: hand.note("the emergency stop was pressed"))
             was = now
 
-    thread = threading.Thread(target=watch, name="emergency stop", daemon=True)
-    thread.start()
     try:
-        yield
+        with background("emergency stop", watch):
+            yield
     finally:
-        over.set()
-        thread.join(1.0)
         if isinstance(stop, StopInput):
             stop.close()
 
