@@ -99,7 +99,6 @@ def test_a_ur5e_turns_as_its_makers_own_table_says():
         ("iiwa14", [0, 0, 0, 0, 0, 0, 0], (0, 0, 0.36 + 0.42 + 0.4 + 0.126)),
         ("iiwa14", [0, np.pi / 2, 0, 0, 0, 0, 0], (0.42 + 0.4 + 0.126, 0, 0.36)),
         ("iiwa14", [0, 0, 0, -np.pi / 2, 0, 0, 0], (0.4 + 0.126, 0, 0.36 + 0.42)),
-        ("ur5e", [0, 0, 0, 0, 0, 0], (-0.8172, -0.2329, 0.0628)),
     ],
 )
 def test_the_flange_is_where_the_makers_lengths_put_it(arm, q, place):

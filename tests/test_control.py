@@ -32,7 +32,6 @@ from smooth_operator.teleop.control.pedal import pedal
 from smooth_operator.teleop.control.pinches import sides_of, watched
 from smooth_operator.teleop.control.rpc import RpcHandlers, RpcServer, remote
 from smooth_operator.teleop.control.switches import actions, help_line, pressing, terminal_keys
-from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.runtime.limiter import EXTRA
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -319,19 +318,6 @@ def test_a_key_that_goes_wrong_is_not_the_last(running, terminal, capfd):
     terminal.press(b" ")
     running.stays(Mode.STOPPED)
     assert "IndexError" in capfd.readouterr().err
-
-
-def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something():
-    def shown(**arm: Any) -> str:
-        hand = {"mode": "tracking", "latched": None, "wrist": None, "arm": arm or None}
-        return live_texts.modes({"right": hand})
-
-    assert "arm: follows<" in shown(state="following", position_error=0.002, clearance=0.2)
-    braking = shown(state="braking", position_error=0.041, clearance=0.021)
-    assert "brakes, too near to something, the wrist is 41 mm off, 21 mm from touching" in braking
-    still = shown(state="holding", position_error=float("nan"), clearance=float("inf"))
-    assert "arm: holds<" in still
-    assert "data-arm" not in shown()
 
 
 def test_the_page_is_told_both_wrists(loop):
