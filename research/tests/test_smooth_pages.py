@@ -136,7 +136,7 @@ def test_the_constants_of_the_offline_presets_are_the_pages(method):
     assert not values
 
 
-MARKED = ("docs/reference/benchmarks.md", "research/docs/looks.md", "research/docs/paper.md")
+MARKED = ("docs/reference/benchmarks.md", "research/docs/looks.md")
 """Pages with figures of today's default; a mark stands above each table."""
 
 
