@@ -21,11 +21,23 @@ from smooth_operator.extras import install_command
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "smooth_operator"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-BASE = {re.split(r"[\[<>=;]", text)[0] for text in PROJECT["dependencies"]}
+BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "numpy", "rich", "scipy", "tyro"}
 """Distributions that everyone gets; their modules have the same names."""
 KNOWN = sys.stdlib_module_names | BASE | {"smooth_operator"}
+
+EXTRAS = """teleop lab all arm avp cluster datasets hdf5 lerobot menagerie serial webcam webxr zmq
+docs test"""
+"""Names that stand in scripts."""
 AT_THE_TOP = ("teleop/arm/", "teleop/pages/", "teleop/recording/messages.py")
 """Where they may be imported with the module: its package says first what is missing."""
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[\[<>=;]", text)[0] for text in requirements}
+
+
+def test_the_base_needs_nine_distributions():
+    assert names(PROJECT["dependencies"]) == BASE
 
 
 def test_the_lock_is_resolved_from_all_extras():
@@ -43,6 +55,7 @@ def test_the_lock_is_resolved_from_all_extras():
 
 def test_every_extra_has_the_wing_that_it_is_part_of():
     extras = PROJECT["optional-dependencies"]
+    assert sorted(extras) == sorted(EXTRAS.split())
     for extra in extras.keys() - {"teleop", "lab", "docs"}:
         included = re.findall(r"smooth-retargeting\[(.*?)\]", " ".join(extras[extra]))
         assert {"teleop", "lab", "datasets"} & set(",".join(included).split(",")), extra

@@ -64,6 +64,18 @@ def test_batch_shapes_and_kinds():
     np.testing.assert_allclose(traced, flat, atol=1e-6)
 
 
+@pytest.mark.parametrize("seed", [1, 6])
+def test_automatic_derivatives_by_finite_differences(seed):
+    tree = random_tree(seed)[3]
+    q = limited_poses(np.random.default_rng(seed), tree.limits, 1)[0]
+    steps = 1e-6 * np.eye(len(q))
+    differences = (tree.positions(q + steps) - tree.positions(q - steps)) / 2e-6
+    with float64():
+        exact = jax.jit(jax.jacfwd(tree.positions))(jnp.asarray(q))
+    np.testing.assert_allclose(exact, np.moveaxis(differences, 0, -1), atol=1e-8)
+    assert abs(differences).max() > 0.1
+
+
 @pytest.mark.parametrize("seed", [1, 5, 8])
 def test_points_with_derivatives(seed):
     """Points, Jacobian and curvature against forward kinematics and against differences of it."""

@@ -40,6 +40,17 @@ def test_keyvectors_are_in_order(fingers):
     assert [LANDMARKS[i] for i in layout.landmarks] == ["wrist", *(f"{f}_tip" for f in fingers)]
 
 
+def test_human_and_robot_keyvectors():
+    rng = np.random.default_rng(0)
+    landmarks = rng.normal(0, 0.1, (7, 21, 3))
+    points = landmarks[:, [0, 4, 8, 12, 16, 20]]
+    by_hand = np.stack([points[:, j] - points[:, i] for i, j in pairs(FIVE)], axis=1)
+    np.testing.assert_allclose(FIVE.human(landmarks), by_hand, atol=1e-15)
+    robot = FIVE.among(points - points[:, :1])
+    np.testing.assert_allclose(robot, FIVE.human(landmarks), atol=1e-12)
+    assert isinstance(FIVE.human(jnp.asarray(landmarks)), jax.Array)
+
+
 def human_vectors(distances: list[float]) -> jax.Array:
     """Keyvectors of a hand whose thumb tip is so far from each other tip."""
     rng = np.random.default_rng(1)
@@ -71,6 +82,17 @@ def test_a_latch_closes_under_project_and_opens_above_escape():
     seen = latches([[d, *far] for d in distances])
     assert [row[0] for row in seen] == closed
     assert not any(any(row[1:]) for row in seen)
+
+
+def test_fingers_latch_on_their_own():
+    seen = latches(
+        [[0.009, 0.1, 0.012, 0.1], [0.012, 0.009, 0.012, 0.1], [0.1, 0.012, 0.1, 0.005]],
+    )
+    assert seen == [
+        [True, False, False, False],
+        [True, True, False, False],
+        [False, True, False, True],
+    ]
 
 
 def test_targets_and_weights_of_open_closed_and_latched_pairs():

@@ -96,6 +96,13 @@ def test_it_is_algorithm_1_to_the_letter(draws):
     assert np.linalg.norm(expected - start) > 0.1
 
 
+def test_the_defaults_are_the_papers_table():
+    config = SamplingConfig()
+    assert (config.samples, config.elites, config.cycles) == (8192, 128, 20)
+    assert (config.sigma, config.temperature, config.jitter) == (0.2, 0.1, 1e-6)
+    assert config.draws == "fresh"
+
+
 COLUMNS = 8
 
 

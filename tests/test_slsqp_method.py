@@ -60,6 +60,16 @@ def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20():
     np.testing.assert_array_equal(targets.vectors[:5], human[:5])
 
 
+def test_ako_switches_between_wrist_and_pinch_at_20_mm():
+    """Each pinch vector by its own distance, all wrist vectors by the nearest finger."""
+    human = jnp.asarray(ako_vectors([0.02, 0.005, 0.12, 0.02]), jnp.float32)
+    weights = np.asarray(AkoTargets()((), PinchLayout(FINGERS), human)[0].weights)
+    s = 1 / (1 + np.exp(-10 * (np.array([0.02, 0.005, 0.12, 0.02]) - 0.02)))
+    np.testing.assert_allclose(weights[:5], np.array([10, 1, 1, 1, 1]) * s[1], rtol=1e-6)
+    np.testing.assert_allclose(weights[5:9], 10 * (1 - s), rtol=1e-6)
+    np.testing.assert_allclose(weights[9:], 10)
+
+
 def test_ako_refuses_a_hand_without_last_joints(hand):
     spec = hand.spec
     stub = dataclasses.replace(

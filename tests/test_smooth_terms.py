@@ -154,6 +154,25 @@ def test_gradient_and_hessian_against_finite_differences(name):
                     np.testing.assert_allclose(hessian, bends, atol=1e-4, rtol=1e-4)
 
 
+def test_it_is_eq_1_where_nothing_is_added():
+    hand = load_hand()
+    with float64():
+        plain, goal = problem(hand, 5, 0.0, held=False)
+        goal = goal._replace(motion_weights=jnp.zeros_like(goal.motion_weights))
+        poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
+        costs = jax.jit(jax.vmap(lambda q: plain.value_grad_hess(q, goal)[0]))(jnp.asarray(poses))
+    tips = hand.tips(hand.full_configuration(poses))
+    points = np.concatenate([np.broadcast_to(hand.wrist, (4, 1, 3)), tips], axis=1)
+    wrist, thumb = points[:, 1:] - points[:, :1], points[:, 2:] - points[:, 1:2]
+    error = np.abs(np.concatenate([wrist, thumb], axis=1) - np.asarray(goal.vectors))
+    loss = np.where(error < 0.013, error**2 / (2 * 0.013), error - 0.013 / 2).sum(axis=-1)
+    pose, change = ((poses - np.asarray(at)) ** 2 for at in (hand.neutral, goal.previous))
+    expected = (np.asarray(goal.weights) * loss).sum(axis=1) + (0.03 * pose + 0.2 * change).sum(
+        axis=1
+    )
+    np.testing.assert_allclose(costs, expected, rtol=1e-9)
+
+
 def test_the_descent_reaches_a_bounded_minimum():
     hand = load_hand("inspire_hand")
     with float64():

@@ -208,11 +208,7 @@ def frame_program(
     """Creates the program of one frame, which is traced or read from a cache, and compiled, at its
     first call. Raises ConfigError if the method's ``step`` takes other arguments."""
     compiling = functools.partial(
-        CompiledProgram,
-        hand=method.hand,
-        config=config,
-        constants=method.constants,
-        cache=cache,
+        CompiledProgram, hand=method.hand, config=config, constants=method.constants, cache=cache
     )
     if method.on_host:
         solved_on_host: Program = cast(Any, method).program(config.alignment, compiling)

@@ -37,11 +37,7 @@ from smooth_operator.retargeting.fingertip_filter import (
     filter_fingertips,
 )
 from smooth_operator.retargeting.levenberg import damped_newton
-from smooth_operator.retargeting.method import (
-    Method,
-    MethodOutput,
-    ObjectiveMethodConfig,
-)
+from smooth_operator.retargeting.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.retargeting.objective import FrameGoal, Objective, TermsConfig
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.retargeting.program import FrameClock
@@ -388,8 +384,4 @@ SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
 )
 """Preset for recordings: ``smooth:precise`` for all frames together, without its filters."""
 
-SMOOTH: Final = {
-    "teleop": SMOOTH_TELEOP,
-    "precise": SMOOTH_PRECISE,
-    "offline": SMOOTH_OFFLINE,
-}
+SMOOTH: Final = {"teleop": SMOOTH_TELEOP, "precise": SMOOTH_PRECISE, "offline": SMOOTH_OFFLINE}
