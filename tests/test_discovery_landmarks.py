@@ -138,9 +138,9 @@ def test_the_wrist_of_a_palm_that_is_the_thumbs_base(shared, side):
 
 def test_fingers_that_would_rest_in_each_other_are_opened(tmp_path):
     wide = found_in(tmp_path, urdf(ring_of_fingers(0.06)))
-    assert "inside" not in because(wide, "neutral")
+    assert "overlap" not in because(wide, "neutral")
     found = found_in(tmp_path, urdf(ring_of_fingers(0.025)))
-    assert "inside each other" in because(found, "neutral")
+    assert "fingers would overlap" in because(found, "neutral")
     bent = replace(found.spec, neutral=wide.spec.neutral)
     before, after = (
         max(neutral_overlaps(load_hand_spec(spec)).values(), default=0.0)

@@ -97,7 +97,7 @@ def test_both_hands_have_one_time_and_a_take_may_be_cut_off(tmp_path):
         ("--mark grasp", "write SECONDS=TEXT, such as 2.5=grasp"),
         ("--drop 1:2 --mark 1.5=a", "the mark 'a' at 1.5 s is in a part that is cut out"),
         ("--mark 9=a", "the mark 'a' at 9 s is after the last command"),
-        ("--keep 7:8", "nothing of the recording would be kept"),
+        ("--keep 7:8", "this would remove the whole recording"),
         ("--keep 1: --output {take} --overwrite", "a recording can't be edited in place"),
         ("--keep 1: --output {other}", "exists; name another --output, or add --overwrite"),
     ],

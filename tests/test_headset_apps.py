@@ -409,7 +409,7 @@ def test_a_second_headset_is_not_used_while_the_first_sends():
     with pytest.raises(RecordingError, match="must begin with"):  # and does not choose the sender
         read((b"x", b"192.168.1.7"), 0.0)
     assert len(take(b"192.168.1.5", 0.0)) == 1
-    with pytest.raises(RecordingError, match=r"192\.168\.1\.7 also sends.*192\.168\.1\.5"):
+    with pytest.raises(RecordingError, match=r"192\.168\.1\.7 is also sending.*192\.168\.1\.5"):
         take(b"192.168.1.7", 0.5)
     assert len(take(b"192.168.1.5", 0.9)) == 1
     first = take(b"192.168.1.7", 2.0)  # the first has fallen silent

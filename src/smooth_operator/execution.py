@@ -47,7 +47,7 @@ class Outcome:
 
 
 def runner(todo: Plan) -> Runner:
-    """Returns a retargeter for a plan, which is compiled at its first frame."""
+    """Returns a retargeter for a plan. It is compiled when it gets its first frame."""
     gaps, store = todo.pinch_gaps, ProgramStore.of_user()
     if isinstance(todo.config, TrajectoryMethodConfig):
         return TrajectoryRetargeter(todo.hand, todo.config, todo.seed, gaps, store)

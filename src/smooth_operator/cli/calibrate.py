@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Measure the gap that a tracker reports when thumb and finger touch, or where a tracker is
-    mounted on a glove; write a file for --operator."""
+    """Measure the pinch gaps that a hand tracker reports, or find where a wrist tracker is mounted
+    on a glove, and save the result for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
@@ -55,8 +55,8 @@ Examples:
     after another, which takes about half a minute."""
 
     wrist_source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
-    """Live source of a tracker on a glove, as for teleop. The program measures where the tracker
-    is mounted on the hand, instead of pinch gaps."""
+    """Live source of a tracker on a glove, as for teleop. Instead of pinch gaps, the program
+    measures where the tracker is mounted on the glove."""
 
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
     """File to write. If the file has an earlier calibration of the same kind, that is replaced;
@@ -76,8 +76,8 @@ Examples:
 
 
 def calibrate_recording(options: Calibrate) -> None:
-    """Measures an operator's pinches or where a tracker sits, writes files and prints the
-    result."""
+    """Measures an operator's pinches, or finds where a tracker is mounted; writes files and prints
+    the result."""
     if options.wrist_source is None:
         _calibrate_pinches(options)
     else:

@@ -17,7 +17,8 @@ class Dataset(Common, Quiet, DatasetRequest):
     details: ClassVar[str] = """A SOURCE is a folder (with all subfolders), a file, some frames of a
 file (take.npz@100:500), a pattern in quotes, a list of paths (.txt: one path per line; .csv
 or .jsonl: path and optionally task, side, layout and rate), or an address of object storage
-(s3://, gs://, ...; extra datasets). The layout of each file is detected; --layout sets it.
+(s3://, gs://, ...; needs the datasets extra). The layout of each file is detected; --layout
+sets it.
 
 Both hands of a clip are retargeted. An episode has the joints and wrist poses of both robot
 hands, a validity flag for each frame, a description of the task, its source files with their
@@ -25,9 +26,9 @@ digests, and quality metrics. Clips are cut where no hand is seen or the tracker
 outside the limits (--min-..., --max-...) are dropped. With --whole, clips are never cut.
 
 FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept
-and dropped, and why; work holds the retargeted clips. Run the same command again to resume a run
-that was stopped or killed, or to add new files. If you change only the limits or the format,
-nothing is retargeted again.
+and dropped, and why; the folder FOLDER/work contains the retargeted clips. Run the same command
+again to resume a run that was stopped or killed, or to add new files. If you change only the limits
+or the format, nothing is retargeted again.
 
 Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos

@@ -51,8 +51,8 @@ Examples:
 
     model: Annotated[Positional[Path], arg(metavar="PATH|robot_descriptions:NAME|NAME")]
     """URDF or MJCF file, with or without meshes; it may include an arm. Or robot_descriptions:NAME,
-    a model of that Python package. Or the name of a hand whose model is in its maker's repository
-    (see hands list)."""
+    a model from the Python package robot_descriptions. Or the name of a hand whose model is in its
+    maker's repository (see hands list)."""
 
     from_: Annotated[Path | None, arg(name="from", metavar="FOLDER")] = None
     """Your clone of the maker's repository, if NAME is a hand whose model is not included."""

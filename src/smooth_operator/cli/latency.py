@@ -15,7 +15,7 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Latency(Common):
-    """Print the time of every stage of a run that teleop recorded."""
+    """Print how long each stage of the loop took in a run recorded with teleop."""
 
     work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:

@@ -215,7 +215,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator bench glove.npz --methods all --output out
       compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json
-      measure the gap that a tracker reports when thumb and finger touch, for --operator
+      measure the gaps that a tracker reports when thumb and finger touch, and write them to a file
   smooth-operator train geort glove.npz --output my-geort
       train a learning-based method for a hand and an operator
   smooth-operator hands list

@@ -141,7 +141,8 @@ class DatasetRequest(Limits, MethodRequest):
     """
 
     fps: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frame rate of the data set [Hz]. Default: that of the format."""
+    """Frame rate of the data set [Hz]. Default: for lerobot, the rate of the video or of the first
+    clip; for spider 50, for flashdex 60; for the other formats, the rate of each clip."""
 
     loose: bool = False
     """For the formats spider and flashdex: write the files that those programs read instead of tar
@@ -149,7 +150,8 @@ class DatasetRequest(Limits, MethodRequest):
     """
 
     shard_mb: Annotated[float | None, arg(metavar="MB")] = None
-    """Maximum size of a file of the data set [MB]. Default: that of the format."""
+    """Maximum size of a file of the data set [MB]. Default: 100 for lerobot, 128 for parquet, 256
+    for the other formats."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Number of worker processes; 0 does the work in this process. Default: one per core."""

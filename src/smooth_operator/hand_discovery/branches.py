@@ -552,7 +552,12 @@ def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.n
             0.1,
             "there is no previous link from which to guess, so the last joint is used",
         )
-    return anchor + 0.5 * out, 0.1, "guessed in line with palm and joint, at half their distance"
+    return (
+        anchor + 0.5 * out,
+        0.1,
+        "guessed on the line from the palm through the last joint, beyond the joint by half of the "
+        "distance between the two",
+    )
 
 
 _NAIL: Final = 0.06  # shift of a shape's end that is a nail, over its thickness

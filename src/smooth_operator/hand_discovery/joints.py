@@ -143,7 +143,7 @@ def check_neutral(hand: Hand) -> Check:
         texts.append(f"{len(neutral)} joints given, within the limits")
     if deepest > _TOUCH:
         one, other = max(overlaps, key=lambda pair: overlaps[pair])
-        texts.append(f"{one} and {other} are {1e3 * deepest:.0f} mm inside each other")
+        texts.append(f"{one} and {other} overlap by {1e3 * deepest:.0f} mm")
         advice.append("choose a [neutral] in which nothing touches, or check these shapes")
         # a mesh collides as its convex hull, which is larger than the part
         exact = not hand.model.nmesh

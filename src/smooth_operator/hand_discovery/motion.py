@@ -560,8 +560,8 @@ def find_neutral(
         knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
         q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
         notes.append(
-            f"fingers would be {1e3 * depth:.0f} mm inside each other in this pose; with the "
-            f"knuckles opened, only {1e3 * less:.0f} mm"
+            f"fingers would overlap by {1e3 * depth:.0f} mm in this pose; with the knuckles bent "
+            f"less, they overlap by only {1e3 * less:.0f} mm"
         )
     return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(notes)
 

@@ -122,7 +122,8 @@ def _palm(hand: Hand, model: mujoco.MjModel) -> str:
     best = min(range(1, model.nbody), key=lambda body: (round(apart(body) / _SAME, 2), -body))
     if not apart(best) < _SAME or not model.body(best).name:
         raise HandModelError(
-            f"no body of that model matches the palm of {hand.name!r}; the fingers differ"
+            f"no body of that model matches the palm of {hand.name!r}: its fingers begin at other "
+            "positions or angles"
         )
     return str(model.body(best).name)
 

@@ -244,7 +244,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
 
 
 def fingerprint(hand: Hand) -> str:
-    """Digest of the numbers of a hand on which a compiled program depends, without its name."""
+    """Digest of the hand's data that a compiled program depends on; the name is not part of it."""
     tree = hand.tree
     digest = hashlib.sha256()
     parts: list[object] = [
@@ -403,8 +403,8 @@ class StraightPose(NamedTuple):
 
 
 def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
-    """(m,) mask of the actuated joints that move the knuckle of a long finger itself: those between
-    its base landmark and the joint whose axis passes nearest to it."""
+    """(m,) mask of the actuated joints that move the knuckle of a long finger itself: on each
+    finger, those after the base landmark and before the joint whose axis is nearest to that landmark."""
     q, tree, data = np.clip(0.0, *hand.limits.T), hand.tree, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(q))
     mujoco.mj_kinematics(hand.model, data)

@@ -63,8 +63,8 @@ class Method(ABC):
 
     @abstractmethod
     def init(self, seed: int) -> Any:
-        """Returns the state before the first frame, a pytree of arrays without None leaves. The
-        seed is that of the random numbers."""
+        """Returns the state before the first frame, a pytree of arrays without None leaves.
+        ``seed`` seeds the random numbers."""
 
     @abstractmethod
     def step(

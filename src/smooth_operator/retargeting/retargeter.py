@@ -373,8 +373,8 @@ class SharedProgram(NamedTuple):
 def shared_program(
     hand: Hand, config: MethodConfig, cache: ProgramCache | None = None
 ) -> SharedProgram:
-    """Returns the program of a frame for a hand, or for its mirror image if the hand is described
-    as one; SmoothOperatorError if the method can't be used with the hand."""
+    """Returns the program of one frame for a hand; a mirrored hand uses that of the original hand.
+    Raises SmoothOperatorError if the method can't be used with the hand."""
     if not config.shareable:
         return _built(hand, config, False, cache)
     reflects = hand.spec.mirror

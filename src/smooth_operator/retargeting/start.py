@@ -64,7 +64,7 @@ def jax_folder() -> Path | None:
 @functools.cache
 def machine() -> str:
     """Digest of the processor's features and of jaxlib, which determine whether machine code is
-    valid. Several machines may share a home folder."""
+    valid. So machines that share a home folder don't load each other's machine code."""
     features = [platform.system(), platform.machine(), version("jaxlib")]
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:

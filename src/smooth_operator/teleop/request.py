@@ -42,8 +42,9 @@ class TeleopRequest(MethodRequest):
 
     arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Arm that carries the hand and follows the operator's wrist (arm extra): panda, ur5e, xarm7,
-    iiwa14, so101, or a URDF or MJCF file with tip=LINK. Settings: adapter=0.02 [m], roll=90
-    [degrees], spacing=1.0 between two arms, table=0.0 [m], no_table=true, collisions=false
+    iiwa14, so101, or a URDF or MJCF file with tip=LINK. Settings: adapter=0.02 (plate
+    between flange and hand [m]), roll=90 (of the hand about the flange's axis [degrees]),
+    spacing=1.0 (between two arms [m]), table=0.0 (height [m]), no_table=true, collisions=false
     (docs/robots/arms.md)."""
 
     wrist_joints: WristJointChoice = "auto"

@@ -131,7 +131,8 @@ Subcommand: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class CrossHand(Group):
-    """Replay one human demonstration on many robot hands in physics, with several methods."""
+    """Replay one human demonstration on many robot hands in a physics simulation, with several
+    methods."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator cross-hand run --worlds 12

@@ -174,7 +174,7 @@ class _ClippedGaussian:
         self.base = jnp.asarray(quasi_normals(self.size, config.samples)) if quasi else None
 
     def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
-        """(m, len(index)) draws with these indices."""
+        """Returns the samples at the given indices, as columns of an array (m, len(index))."""
         if self.base is None:
             normals = counter_normal_matrix(index.astype(jnp.uint32), words, self.size)
         else:

@@ -101,13 +101,14 @@ def check_runs(runs: Sequence[Playback]) -> None:
     for run in runs[1:]:
         if not np.array_equal(run.trace.stamps, first.trace.stamps):
             raise RecordingError(
-                f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or their "
-                "timestamps differ: retarget the same frames of one recording with both methods"
+                f"the timestamps of {run.label!r} ({len(run)} frames) and {first.label!r} "
+                f"({len(first)} frames) differ: retarget the same frames of one recording with "
+                "both methods"
             )
         mine, theirs = (", ".join(each.trace.fingers) for each in (run, first))
         if mine != theirs:
             raise RecordingError(
-                f"{run.label!r} drives {mine}, but {first.label!r} {theirs}: use runs with "
+                f"{run.label!r} drives {mine}, but {first.label!r} drives {theirs}: use runs with "
                 "the same fingers"
             )
 

@@ -172,7 +172,7 @@ def _copy(path: Path, output: Path, edit: Edit, start: int) -> Mapping[str, Any]
                 writer.add_message(number, record.log_time, data, record.log_time, record.sequence)
                 count += topic in _TIMED
         if not count:
-            raise RecordingError(f"{path}: nothing of the recording would be kept")
+            raise RecordingError(f"{path}: this would remove the whole recording")
         if marks:
             time, words = marks[0]
             raise RecordingError(

@@ -128,7 +128,7 @@ class Supervisor:
         self._last_good, self._held = now, False
 
     def hold(self) -> None:
-        """Holds the robot while a method is compiled, until a frame arrives after that."""
+        """Holds the robot while a method is compiled, and then until the next frame arrives."""
         self.compiling = self._held = True
 
     def restart_blend(self, now: float | None) -> None:

@@ -151,7 +151,7 @@ def read_payload(data: bytes, side: Side | None, forms: Forms = Forms()) -> tupl
         sizes = ", ".join(str(size) for size in _BINARY)
         raise RecordingError(
             f"a message of {len(data)} bytes is neither JSON (an object or a list) nor 21 x 3 "
-            f"numbers: float32 has 252 bytes, float64 504 (sizes that are read: {sizes})"
+            f"numbers (252 bytes as float32, 504 as float64; accepted sizes: {sizes})"
         )
     count, dtype = binary
     points = np.frombuffer(data, dtype).reshape(count, 3).astype(np.float64)

@@ -233,7 +233,7 @@ class OneSender:
         if self._host not in (None, host) and received - self._last <= SILENCE_S:
             first = (self._host or b"").decode()
             raise RecordingError(
-                f"{host.decode()} also sends, and is ignored while {first} sends; stop one "
-                "of them or use a different port for each"
+                f"{host.decode()} is also sending to this port, and is ignored while {first} is "
+                "sending; stop one of them, or use a different port for each"
             )
         self._host, self._last = host, received
