@@ -404,7 +404,7 @@ class StraightPose(NamedTuple):
 
 def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
     """(m,) mask of the actuated joints that move the knuckle of a long finger itself: on each
-    finger, those after the base landmark and before the joint whose axis is nearest to that landmark."""
+    finger, those after the base landmark and before the joint whose axis passes nearest to it."""
     q, tree, data = np.clip(0.0, *hand.limits.T), hand.tree, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(q))
     mujoco.mj_kinematics(hand.model, data)
