@@ -141,8 +141,8 @@ class DatasetRequest(Limits, MethodRequest):
     """
 
     fps: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frame rate of the data set [Hz]. Default: for lerobot, the rate of the video or of the first
-    clip; for spider 50, for flashdex 60; for the other formats, the rate of each clip."""
+    """Frame rate of the data set [Hz]. Default: the rate of each clip; for lerobot, that of the first
+    clip or video; for spider 50; for flashdex 60."""
 
     loose: bool = False
     """For the formats spider and flashdex: write the files that those programs read instead of tar

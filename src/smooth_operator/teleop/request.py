@@ -42,17 +42,16 @@ class TeleopRequest(MethodRequest):
 
     arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
     """Arm that carries the hand and follows the operator's wrist (arm extra): panda, ur5e, xarm7,
-    iiwa14, so101, or a URDF or MJCF file with tip=LINK. Settings: adapter=0.02 (plate
-    between flange and hand [m]), roll=90 (of the hand about the flange's axis [degrees]),
-    spacing=1.0 (between two arms [m]), table=0.0 (height [m]), no_table=true, collisions=false
-    (docs/robots/arms.md)."""
+    iiwa14, so101, or a URDF or MJCF file with tip=LINK. Settings: adapter=0.02 (thickness [m]),
+    roll=90 (of the hand [degrees]), spacing=1.0 (of two arms [m]), table=0.0 (height [m]),
+    no_table=true, collisions=false (docs/robots/arms.md)."""
 
     wrist_joints: WristJointChoice = "auto"
     """Whether the robot hand's wrist joints, if it has any, follow the operator's wrist
     (docs/how-to/teleoperate.md). auto: on, but off with --arm or --task."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Folder in which to record every trial of the task."""
+    """Folder for the records of all trials."""
 
     side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
     """Hand side; with both, two robot hands are driven. Default: right, or the only
@@ -66,7 +65,7 @@ class TeleopRequest(MethodRequest):
     preset."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """Operator file, as written by calibrate. It is updated at the end of the run."""
+    """Operator file written by calibrate; updated at the end of the run."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Maximum command rate for each hand [Hz]; also the rate at which commands are sent while no
