@@ -141,8 +141,8 @@ class DatasetRequest(Limits, MethodRequest):
     """
 
     fps: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frame rate of the data set [Hz]. Default: the rate of each clip; for lerobot, that of the first
-    clip or video; for spider 50; for flashdex 60."""
+    """Frame rate of the data set [Hz]. Default: the rate of each clip; for lerobot, that of the
+    first clip or video; 50 for spider; 60 for flashdex."""
 
     loose: bool = False
     """For the formats spider and flashdex: write the files that those programs read instead of tar

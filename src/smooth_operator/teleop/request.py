@@ -54,8 +54,7 @@ class TeleopRequest(MethodRequest):
     """Folder for the records of all trials."""
 
     side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
-    """Hand side; with both, two robot hands are driven. Default: right, or the only
-    side that the robot hand has."""
+    """Hand side; both drives two robot hands. Default: right, or the robot hand's only side."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
     """Preset of the method. Default: its first preset."""
