@@ -17,7 +17,6 @@ import pytest
 from discovery_hands import make_hand, urdf
 from test_cli_help import commands
 from test_docs import PAGES, PROJECT, README, relative_name
-from test_headset_recordings import avp_lines, hts_lines
 
 from smooth_operator import SyntheticOperator
 from smooth_operator.cli import main
@@ -124,8 +123,8 @@ def write_inputs(folder: Path, text: str) -> None:
     np.savez(folder / "video.npz", recording.landmarks[:300])
     np.save(folder / "video.npy", recording.landmarks[300:])
     np.save(folder / "landmarks.npy", recording.landmarks * (-1, 1, 1))
-    (folder / "tracking.jsonl").write_text("\n".join(avp_lines()) + "\n")
-    (folder / "hands.hts").write_bytes(b"\n".join(hts_lines(True)) + b"\n")
+    dataset_files.avp_file(folder / "tracking.jsonl")
+    dataset_files.hts_file(folder / "hands.hts", sides=["right"])
     (folder / "my_hand.urdf").write_text(urdf(make_hand(0, turned=False).parts))
     (folder / "REPOSITORY").mkdir()
     (folder / "REPOSITORY" / "my_hand.urdf").write_text(urdf(make_hand(0, turned=False).parts))

@@ -240,7 +240,7 @@ def test_a_plugins_reader_recognises_its_files(broken, offer, tmp_path, capsys):
         read_recording(tmp_path / "a.wrong")
     with pytest.raises(RecordingError, match="this is a pickle"):
         read_recording(tmp_path / "a.pkl")
-    with pytest.raises(RecordingError, match=r"own \.h5 file, a \.rows file and a \.wrong file"):
+    with pytest.raises(RecordingError, match=r"own \.h5 file, .* a \.rows file and a \.wrong file"):
         read_recording(tmp_path / "a.other")
     notes = capsys.readouterr().err.splitlines()
     skipped = [note.partition(" is skipped")[0] for note in notes]

@@ -252,8 +252,7 @@ def test_keys_end_with_their_terminal(monkeypatch):
     ours, theirs = os.openpty()
     with open(theirs, encoding="utf-8") as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
-        with terminal_keys(print) as listening:
-            assert listening
+        with terminal_keys(print):
             thread = next(t for t in threading.enumerate() if t.name == "keys")
             os.close(ours)
             thread.join(LONG_S)

@@ -14,7 +14,6 @@ from smooth_operator.benchmark.cells import (
     benchmark_code,
     files_of,
     hand_identity,
-    outside_code,
     select_methods,
 )
 from smooth_operator.benchmark.suite import CONFIG, check_folder
@@ -29,6 +28,7 @@ from smooth_operator.result_cache import (
     compute_results,
     content_digest,
     find_results,
+    outside_code,
 )
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.physics.measure import (
