@@ -1,4 +1,4 @@
-"""A loop that runs in a thread, and what a page has of it."""
+"""A teleoperation loop that runs in a thread, with the session, server and panel of a page."""
 
 import contextlib
 import threading
@@ -26,7 +26,7 @@ from smooth_operator.types import Side
 
 @dataclass
 class Running:
-    """A loop that runs, and its ticks."""
+    """A running loop and the ticks that it has sent."""
 
     loop: TeleopLoop
     ticks: list[Tick] = field(default_factory=list)
@@ -35,15 +35,34 @@ class Running:
         return self.ticks[-1].mode
 
     def passes(self, ticks: int = 25) -> list[Tick]:
-        """Waits for some commands; returns them."""
+        """Waits for some commands and returns them."""
         first = len(self.ticks)
         until(lambda: len(self.ticks) > first + ticks)
         return self.ticks[first:]
 
     def stays(self, mode: Mode) -> None:
-        """The mode is so now, and some commands later."""
+        """Checks that the mode is this one now, and still is some commands later."""
         until(lambda: self.mode() is mode)
         assert {tick.mode for tick in self.passes(5)} == {mode}
+
+
+@dataclass
+class Stage:
+    """A running loop and the session that a page has with it."""
+
+    run: Running
+    session: LiveSession
+
+    @property
+    def loop(self) -> TeleopLoop:
+        return self.run.loop
+
+    @property
+    def ticks(self) -> list[Tick]:
+        return self.run.ticks
+
+    def mode(self) -> Mode:
+        return self.run.mode()
 
 
 @contextlib.contextmanager
@@ -73,10 +92,10 @@ def running(
 def session_of(
     loop: TeleopLoop, switcher: MethodSwitcher, folder: Path = Path(), *sinks: Any, **more: Any
 ) -> LiveSession:
-    """A page's session, as a run makes it."""
+    """Makes the session of a page, as a run does."""
     takes = Takes(loop.sinks, folder / "takes", switcher.configuration)
-    own = actions(loop, {}, lambda text: None)
-    return LiveSession(loop, sinks, switcher, takes, own, **more)
+    offered = actions(loop, {}, lambda text: None)
+    return LiveSession(loop, sinks, switcher, takes, offered, **more)
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ import pytest
 import viser
 from browser_page import changed, nameless, new_page, picture, settled
 from hostile_texts import ATTACK, guarded_page, hostile_hand
-from live_loop import Running, panel_of, running, serving, session_of
+from live_loop import Stage, panel_of, running, serving, session_of
 from live_time import PATIENCE_S
 from live_time import until as eventually
 
@@ -52,30 +52,15 @@ from smooth_operator.types import Side
 RATE = 50.0
 
 
-@dataclass
-class Stage:
-    """A running loop with a page's session."""
-
-    run: Running
-    session: LiveSession
-
-    @property
-    def loop(self) -> TeleopLoop:
-        return self.run.loop
-
-    @property
-    def ticks(self) -> list[Tick]:
-        return self.run.ticks
-
-    def mode(self) -> Mode:
-        return self.run.mode()
+class PageStage(Stage):
+    """A running loop whose state a page asks for."""
 
     def see(self) -> dict[str, Any]:
         return self.session.look(text=True)
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageStage]:
     asked = make_request(method="joint_angle")
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
@@ -86,7 +71,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     session = session_of(loop, MethodSwitcher(loop, asked), tmp_path_factory.mktemp("live"))
     with running(loop, session.watch) as run:
         eventually(lambda: run.mode() is Mode.TRACKING)
-        yield Stage(run, session)
+        yield PageStage(run, session)
     session.close()
 
 
@@ -260,12 +245,12 @@ def plain(markup: str) -> str:
     return html.unescape(re.sub(r"<[^>]*>", "", markup))
 
 
-def take(stage: Stage) -> dict[str, Any]:
+def take(stage: PageStage) -> dict[str, Any]:
     return stage.see()["controls"]["take"]
 
 
 @contextlib.contextmanager
-def recording(stage: Stage) -> Iterator[None]:
+def recording(stage: PageStage) -> Iterator[None]:
     """Records a take."""
     stage.session.do("record")
     eventually(lambda: take(stage)["recording"])
@@ -277,7 +262,7 @@ def recording(stage: Stage) -> Iterator[None]:
     assert not stage.loop.sinks.health()
 
 
-def record(stage: Stage) -> Path:
+def record(stage: PageStage) -> Path:
     """Records a short take; its file."""
     with recording(stage):
         pass
@@ -647,7 +632,7 @@ def drawing_of(server: Any, hand: str) -> tuple[LiveDrawing, dict[str, Any]]:
     return LiveDrawing(server, link, setup, StopPanel(server, link.do, attended=True)), setup
 
 
-def tracks(page: Any, stage: Stage) -> None:
+def tracks(page: Any, stage: PageStage) -> None:
     """Release and resume, whatever it was; and the page knows."""
     stage.loop.controls.release()
     stage.loop.controls.resume()
@@ -677,7 +662,8 @@ def test_fingertips_in_contact_are_redder_and_larger():
 
 
 def test_what_browsers_get_in_one_update(monkeypatch):
-    """A frame is one update. A scene is none: a browser gets the stop while its hand is loaded."""
+    """A frame arrives as one update. A new scene does not wait for its hand, so that a browser gets
+    the stop while the hand is loaded."""
     held_back: list[int] = []
 
     def noted(*_: Any, **__: Any) -> None:
@@ -818,7 +804,7 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def served(stage: Stage) -> Iterator[LivePage]:
+def served(stage: PageStage) -> Iterator[LivePage]:
     with LivePage(PageSetup("mimic_p050", port=0, details=False, meshes=False)) as page:
         page.serve(stage.session)
         yield page

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_loop import Running, panel_of, running, serving, session_of
+from live_loop import Stage, panel_of, running, serving, session_of
 from live_time import PATIENCE_S, until
 
 from smooth_operator import Retargeter, load_hand, method_names
@@ -33,7 +33,6 @@ from smooth_operator.simulation.tasks.task_session import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc import RpcHandlers, remote
-from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -48,23 +47,13 @@ zmq = pytest.importorskip("zmq")
 
 
 @dataclass
-class Stage:
-    """A running loop that listens, and who talks to it."""
+class RemoteStage(Stage):
+    """A running loop that listens for commands, and the client that sends them."""
 
-    run: Running
     switcher: MethodSwitcher
     runner: TrialRunner
-    session: LiveSession
     folder: Path
     teleop: RemoteTeleop
-
-    @property
-    def loop(self) -> TeleopLoop:
-        return self.run.loop
-
-    @property
-    def ticks(self) -> list[Tick]:
-        return self.run.ticks
 
     def do(self, word: str, **fields: Any) -> dict[str, Any]:
         end = time.monotonic() + PATIENCE_S
@@ -81,7 +70,7 @@ class Stage:
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory) -> Iterator[Stage]:
+def stage(tmp_path_factory) -> Iterator[RemoteStage]:
     asked = make_request(method="joint_angle")
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
@@ -111,7 +100,7 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
         running(loop, session.watch, started) as run,
     ):
         until(lambda: run.mode() is Mode.TRACKING)
-        yield Stage(run, switcher, opened[0], session, folder, RemoteTeleop(address, 20.0))
+        yield RemoteStage(run, session, switcher, opened[0], folder, RemoteTeleop(address, 20.0))
     session.close()
 
 
@@ -352,6 +341,7 @@ def test_a_trial_from_begin_to_record(stage):
     until(lambda: stage.do("trial")["elapsed_s"] > 0.2)
     assert stage.do("reset")["resets"] == 1
     stage.refused("one reset", "reset")
+    until(lambda: not stage.do("trial")["placed"])  # the object waits until the hand has left
     done = stage.do("trial", finish=True, side="right")
     result = [done[name] for name in ("phase", "ended", "line", "score")]
     assert result == ["done", "finished", "not-done", 0.0]

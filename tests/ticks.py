@@ -69,7 +69,7 @@ def felt(hand: Hand, levels: Any, *, age: float = 0.0, mode: Mode = Mode.TRACKIN
 
 @dataclass
 class KeptTicks(Sink):
-    """A sink that keeps what it gets, and raises what it is told to.
+    """A sink that records its calls, and raises the errors that a test asks for.
 
     Attributes:
         slow_s: time that a command takes [s].
