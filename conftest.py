@@ -80,6 +80,7 @@ def _set_up_environment() -> None:
 PARTS = (
     (HOME / "research", "src"),
     (HOME / "packages" / "smooth_hand_datasets", ""),
+    (HOME / "packages" / "smooth_operator_benchmark", ""),
     (HOME / "packages" / "smooth_operator_study", ""),
     (HOME / "packages" / "smooth_operator_devices", ""),
 )

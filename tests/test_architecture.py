@@ -15,11 +15,15 @@ RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
 """Experiments outside the wheel: they may import all of the package, which imports none of them."""
 DATA_SETS = SOURCE.parents[1] / "packages" / "smooth_hand_datasets" / "smooth_hand_datasets"
 """Research data sets, outside the wheel in the same way."""
+BENCHMARK = (
+    SOURCE.parents[1] / "packages" / "smooth_operator_benchmark" / "smooth_operator_benchmark"
+)
+"""The benchmark, outside the wheel in the same way."""
 STUDY = SOURCE.parents[1] / "packages" / "smooth_operator_study" / "smooth_operator_study"
 """The user study, outside the wheel in the same way."""
 DEVICES = SOURCE.parents[1] / "packages" / "smooth_operator_devices" / "smooth_operator_devices"
 """Real hands, trackers and ROS 2, outside the wheel in the same way."""
-OTHERS = [RESEARCH, DATA_SETS, STUDY, DEVICES]
+OTHERS = [RESEARCH, DATA_SETS, BENCHMARK, STUDY, DEVICES]
 ALL = pytest.mark.parametrize("source", [SOURCE, *OTHERS], ids=lambda path: path.name)
 
 ROOT = "__init__"
@@ -72,7 +76,7 @@ SHARED = {
 }
 """What several wings use: module -> level. It imports no wing."""
 
-WINGS = {"teleop": 8, "hand_discovery": 8, "datasets": 8, "benchmark": 8}
+WINGS = {"teleop": 8, "hand_discovery": 8, "datasets": 8}
 """Wings: each imports the core, what is shared, and itself."""
 
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
@@ -313,9 +317,9 @@ def test_distributions_import_only_those_below_them():
         source.name: {name for _, name in from_other_distributions(source)}
         for source in (SOURCE, *OTHERS)
     }
-    below = {RESEARCH.name: {STUDY.name}}
+    below = {RESEARCH.name: {BENCHMARK.name, STUDY.name}}
     assert imported == {source.name: below.get(source.name, set()) for source in (SOURCE, *OTHERS)}
-    named = re.compile(rf"({STUDY.name}|{DEVICES.name})\.\w")  # in a text
+    named = re.compile(rf"({BENCHMARK.name}|{STUDY.name}|{DEVICES.name})\.\w")  # in a text
     assert [p.name for p in modules(SOURCE) if named.search(p.read_text(encoding="utf-8"))] == []
 
 

@@ -86,7 +86,7 @@ def test_demo_writes_a_consistent_folder(run, tmp_path, monkeypatch):
     # An earlier demo is replaced; another kind of folder is not.
     (folder / "notes.txt").write_text("mine", encoding="utf-8")
     again = ("--no-view", "--method", "joint_angle", "--duration", 0.2, "--quiet")
-    monkeypatch.setattr("smooth_operator.benchmark.figures.save_plots", lambda *_: None)
+    monkeypatch.setattr("smooth_operator.reporting.run_plots.save_plots", lambda *_: None)
     some = ("--side", "left", "--fingers", "thumb,index,pinky=ring")
     status, *_ = run("demo", "--output", folder, *again, *some)
     assert status == 0
@@ -371,6 +371,8 @@ def test_ctrl_c_on_a_page_is_the_usual_end(run, monkeypatch):
         ("paper --output x", "./research"),
         ("bench --physics", "./research"),
         ("study simulate x", "./research"),
+        ("bench recording.npz --output out", "./packages/smooth_operator_benchmark"),
+        ("bench --help", "./packages/smooth_operator_benchmark"),
         ("study", "./packages/smooth_operator_study"),
         ("study --help", "./packages/smooth_operator_study"),
         ("study analyze trials.csv --output out", "./packages/smooth_operator_study"),

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import smooth_operator
+import smooth_operator_benchmark
 import smooth_operator_devices
 import smooth_operator_study
 from smooth_operator.formats.csv_table import csv_text, plain_cell
@@ -50,7 +51,8 @@ def test_headers_are_cells_too():
 
 
 @pytest.mark.parametrize(
-    "package", [smooth_operator, smooth_operator_study, smooth_operator_devices]
+    "package",
+    [smooth_operator, smooth_operator_benchmark, smooth_operator_study, smooth_operator_devices],
 )
 def test_there_is_one_writer(package):
     root = Path(package.__file__).parent

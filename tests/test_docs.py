@@ -21,6 +21,7 @@ PAGES = [
 ]
 SOURCE = PROJECT / "src" / "smooth_operator"
 RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
+BENCHMARK = PROJECT / "packages" / "smooth_operator_benchmark" / "smooth_operator_benchmark"
 STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
 DEVICES = PROJECT / "packages" / "smooth_operator_devices" / "smooth_operator_devices"
 """Names that are no modules."""
@@ -102,11 +103,13 @@ def test_what_a_page_names_exists(page):
     links = ["".join(target).split("#")[0] for target in targets]
     local = [link for link in links if not re.match(r"[a-z]+:|$", link)]
     absent = [link for link in local if not (page.parent / link).exists()]
-    named = re.findall(r"\bsmooth_operator(?:_research|_study|_devices)?(?:\.(?!md\b)\w+)+", text)
+    named = re.findall(
+        r"\bsmooth_operator(?:_research|_benchmark|_study|_devices)?(?:\.(?!md\b)\w+)+", text
+    )
     own = {name for name in named if name.split(".")[1] not in NO_MODULES}
     absent += [name for name in sorted(own) if not resolves(name)]
     paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
-    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, STUDY, DEVICES)
+    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, BENCHMARK, STUDY, DEVICES)
     absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
     assert absent == []
 

@@ -197,7 +197,6 @@ LACK = {
     "hands show leap_hand": "teleop",
     "hands render leap_hand": "teleop",
     "convert in.npz --output x.h5": "hdf5",
-    "bench in.npz --output bench": "lab",
     "calibrate in.npz --output operator.json": "lab",
     "train geort in.npz --output trained": "lab",
 }

@@ -5,11 +5,11 @@ import pytest
 from metrics_cases import WRIST, human_motion, make_trace
 
 from smooth_operator import Hand, HandRecording, assemble_trace, load_hand
-from smooth_operator.benchmark.quality import PER_FINGER, finger_metrics
 from smooth_operator.landmarks import FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.types import CommandTrajectory
+from smooth_operator_benchmark.quality import PER_FINGER, finger_metrics
 
 THREE = ("thumb", "index", "middle")
 FOUR = ("thumb", "index", "middle", "ring")

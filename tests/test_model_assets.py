@@ -14,7 +14,6 @@ import trimesh
 from discovery_hands import make_hand, urdf
 
 from smooth_operator import Retargeter, load_hand
-from smooth_operator.benchmark.cells import only_side
 from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hand_discovery.discover import discover
@@ -27,6 +26,7 @@ from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
+from smooth_operator_benchmark.cells import only_side
 
 JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
 

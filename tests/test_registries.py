@@ -14,14 +14,6 @@ import pytest
 from metrics_cases import make_trace
 
 from smooth_operator import HandRecording, plugins, read_recording, result_cache
-from smooth_operator.benchmark.cells import (
-    Cell,
-    Settings,
-    fingerprint,
-    method_label,
-    select_methods,
-)
-from smooth_operator.benchmark.ranking import columns
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import (
@@ -37,6 +29,7 @@ from smooth_operator.metrics import Metric, Trace, evaluate
 from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import (
     PRESETS,
@@ -49,6 +42,13 @@ from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SINKS, SOURCES, build_component
+from smooth_operator_benchmark.cells import (
+    Cell,
+    Settings,
+    fingerprint,
+    select_methods,
+)
+from smooth_operator_benchmark.ranking import columns
 
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}

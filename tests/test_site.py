@@ -9,6 +9,7 @@ import pytest
 from processes import python
 
 import smooth_operator
+import smooth_operator_benchmark
 import smooth_operator_devices
 import smooth_operator_study
 from smooth_operator.hands import hand_names, load_hand
@@ -76,6 +77,7 @@ def test_pages_need_no_script_for_equations_and_nothing_from_other_hosts(site):
     ("name", "package"),
     [
         ("smooth_operator", smooth_operator),
+        ("benchmark", smooth_operator_benchmark),
         ("study", smooth_operator_study),
         ("devices", smooth_operator_devices),
     ],

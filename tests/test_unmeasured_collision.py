@@ -7,10 +7,10 @@ import pytest
 from test_bench_uses import line
 from test_stand_ins import with_lost_meshes
 
-from smooth_operator.benchmark import ranking
 from smooth_operator.cli import main
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.registry import load_hand
+from smooth_operator_benchmark import ranking
 
 ONE_FINGER = r"index_\w+"
 

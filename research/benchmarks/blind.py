@@ -30,16 +30,16 @@ import numpy as np
 from looks import panel_of, run
 from PIL import Image, ImageDraw, ImageFont
 
-from smooth_operator.benchmark.contact_sheet import (
+from smooth_operator.hands.registry import load_hand
+from smooth_operator_benchmark.contact_sheet import (
     POSES,
     HandPicture,
     common_frame,
     find_poses,
     skeleton_shape,
 )
-from smooth_operator.benchmark.recordings import load_sources, parse_request
-from smooth_operator.cli.hand_shape import ModelShape
-from smooth_operator.hands.registry import load_hand
+from smooth_operator_benchmark.model_shape import ModelShape
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 from smooth_operator_research.run_report import markdown
 
 RUBRIC: Final = """Left the human hand, right the robot hand; each from the palm and from the thumb.

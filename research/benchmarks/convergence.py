@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.batching import ticks_of
 from smooth_operator.retargeting.levenberg import STILL, damped_newton
@@ -26,6 +25,7 @@ from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.program import align_frame
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.smooth import Smooth, SmoothConfig, frame_limits
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 
 SETTINGS: Final = ((6, STILL), (SmoothConfig().iterations, STILL), (500, 1e-5))
 """Iterations, and the step that ends a descent [rad]."""

@@ -20,13 +20,13 @@ from typing import Any, Final
 import numpy as np
 from looks import COLUMNS, figures
 
-from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.reporting.drawing import INK, styled, write_figure
 from smooth_operator.retargeting.preset_files import method_config, with_settings
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import HandRecording
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 
 PLACES: Final[Mapping[str, Sequence[float]]] = {
     "correspondence.share": (0.0, 0.4, 0.7, 0.85, 1.0),

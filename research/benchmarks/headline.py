@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.benchmark import (
+from smooth_operator_benchmark import (
     Finished,
     Row,
     Settings,
@@ -26,11 +26,11 @@ from smooth_operator.benchmark import (
     plan_cells,
     run_suite,
 )
-from smooth_operator.benchmark.contact_sheet import contact_sheet, panels_by_hand
-from smooth_operator.benchmark.figures import make_panels
-from smooth_operator.benchmark.page.report import summary_text
-from smooth_operator.cli.bench import comma_words
-from smooth_operator.cli.hand_shape import ModelShape
+from smooth_operator_benchmark.command import comma_words
+from smooth_operator_benchmark.contact_sheet import contact_sheet, panels_by_hand
+from smooth_operator_benchmark.figures import make_panels
+from smooth_operator_benchmark.model_shape import ModelShape
+from smooth_operator_benchmark.page.report import summary_text
 
 POSES: Final = ("flat", "fist", "point", "OK", "pinch middle")
 """Rows of the pictures."""

@@ -19,18 +19,18 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.benchmark.contact_sheet import contact_sheet
-from smooth_operator.benchmark.figures import Panel, Run
-from smooth_operator.benchmark.recordings import load_sources, parse_request
-from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.reporting.run_plots import Panel, Run
 from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import HandRecording
+from smooth_operator_benchmark.contact_sheet import contact_sheet
+from smooth_operator_benchmark.model_shape import ModelShape
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 
 COLUMNS: Final = {
     "finger_extension_error": "extension",

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from trees import float64
 
-from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.random_numbers import seed_words
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 from smooth_operator_research.commands.options import ExperimentName
 from smooth_operator_research.paper import experiment as context_module
 from smooth_operator_research.paper import interval_coverage

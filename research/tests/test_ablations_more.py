@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from smooth_operator.benchmark.cells import Choice
-from smooth_operator.benchmark.ranking import HEADLINES
-from smooth_operator.benchmark.recordings import Request, Source, load_sources, parse_request
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.synthetic.tracker import TrackerModel
+from smooth_operator_benchmark.cells import Choice
+from smooth_operator_benchmark.ranking import HEADLINES
+from smooth_operator_benchmark.recordings import Request, Source, load_sources, parse_request
 from smooth_operator_research.paper import fk, follow, sweeps, table
 from smooth_operator_research.paper.experiment import QUICK, ExperimentContext, ExperimentFolder
 from smooth_operator_research.paper.figures import looks_of

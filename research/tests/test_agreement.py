@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand
-from smooth_operator.benchmark.recordings import load_sources, parse_request
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 
 LEAST = {"mimic_p050": 0.83}
 """Hand -> share of frames in which two runs agree, a second after a fault; .75 for others. The

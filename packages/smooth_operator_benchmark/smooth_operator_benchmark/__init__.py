@@ -1,17 +1,12 @@
-"""Benchmarks: measure every method on every recording and hand, and produce tables, plots and a
-report.
+"""Measures retargeting methods on recordings and robot hands; writes tables, plots and a report.
 
 ``plan_cells`` checks the request, ``run_suite`` measures, ``make_rows`` creates the rows of
 ``results.json``, ``compare`` compares them with an earlier benchmark, and
-``smooth_operator.benchmark.page`` writes the report. Nothing here prints.
+``smooth_operator_benchmark.page`` writes the report. None of them prints anything.
+
+A separate distribution that uses ``smooth_operator`` and adds the command ``bench`` to it.
 """
 
-from smooth_operator.benchmark.cells import Settings as Settings
-from smooth_operator.benchmark.ranking import Comparison as Comparison
-from smooth_operator.benchmark.ranking import compare as compare
-from smooth_operator.benchmark.suite import Finished as Finished
-from smooth_operator.benchmark.suite import Row as Row
-from smooth_operator.benchmark.suite import make_rows as make_rows
-from smooth_operator.benchmark.suite import plan_cells as plan_cells
-from smooth_operator.benchmark.suite import read_results as read_results
-from smooth_operator.benchmark.suite import run_suite as run_suite
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

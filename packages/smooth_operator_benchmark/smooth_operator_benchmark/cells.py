@@ -11,19 +11,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import file_name
-from smooth_operator.benchmark.recordings import Source
 from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.hands.registry import hand_names, known_hands, load_hand
 from smooth_operator.metrics.table import Definition, plugin_metrics
 from smooth_operator.planning import CODE_OF_COMMANDS, Plan, content_of
 from smooth_operator.plugins import is_target
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator.result_cache import code_digest, content_digest, key_digest, outside_code
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import PRESETS, loadable_presets
 from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.types import Side
+from smooth_operator_benchmark.recordings import Source
 
 ALL: Final = "all"
 LATENCY_FRAMES: Final = 500
@@ -169,15 +170,6 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
     if not chosen:
         raise ConfigError(f"name at least one method: {', '.join(PRESETS)}, or all")
     return [Choice(method, preset, config) for (method, preset), config in chosen.items()]
-
-
-def method_label(method: str, preset: str) -> str:
-    """Name of a method in tables; the default preset is not shown."""
-    try:
-        default = next(iter(PRESETS[method]))
-    except SmoothOperatorError:  # a method of older results, or of a missing plugin
-        default = ""
-    return method if preset == default else f"{method}:{preset}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,17 @@ from rich.table import Table
 from rich.text import Text
 
 from smooth_operator.atomic_files import claimed, write_json
-from smooth_operator.benchmark import (
+from smooth_operator.calibration.operator_file import read_operator
+from smooth_operator.cli.console import Progressing, output_console, plain_table
+from smooth_operator.cli.outputs import folder_for, stopped
+from smooth_operator.errors import SmoothOperatorError, counted
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.stand_ins import stand_in_note
+from smooth_operator.metrics import Metric
+from smooth_operator.request import parse_fingers
+from smooth_operator.retargeting.start import start_jax
+from smooth_operator_benchmark import (
     Settings,
     compare,
     make_rows,
@@ -18,8 +28,9 @@ from smooth_operator.benchmark import (
     read_results,
     run_suite,
 )
-from smooth_operator.benchmark.cells import Cell, only_side
-from smooth_operator.benchmark.ranking import (
+from smooth_operator_benchmark.cells import Cell, only_side
+from smooth_operator_benchmark.options import Bench
+from smooth_operator_benchmark.ranking import (
     COLUMNS,
     Comparison,
     Line,
@@ -34,19 +45,8 @@ from smooth_operator.benchmark.ranking import (
     sample_text,
     shown_value,
 )
-from smooth_operator.benchmark.ranking import verdict as verdict_of
-from smooth_operator.benchmark.suite import REPORT, RESULTS, Row
-from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.cli.bench_options import Bench
-from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.errors import SmoothOperatorError, counted, require
-from smooth_operator.formats.checks import reading_notes
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.stand_ins import stand_in_note
-from smooth_operator.metrics import Metric
-from smooth_operator.request import parse_fingers
-from smooth_operator.retargeting.start import start_jax
+from smooth_operator_benchmark.ranking import verdict as verdict_of
+from smooth_operator_benchmark.suite import REPORT, RESULTS, Row
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
@@ -181,8 +181,6 @@ SOME_FAILED = 1
 
 def bench(options: Bench) -> None:
     """Checks the request, measures, writes the results and prints the tables."""
-    if not options.no_report or options.sheet:
-        require("the report (use --no-report to skip it)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     start_jax()  # before planning, which may do so
     # Check everything that a user can get wrong before the long work starts.
@@ -219,16 +217,16 @@ def bench(options: Bench) -> None:
         write_json(options.output / RESULTS, rows, indent=1)
         written = [RESULTS]
         if options.sheet:
-            from smooth_operator.benchmark.contact_sheet import write_sheets
-            from smooth_operator.cli.hand_shape import ModelShape
+            from smooth_operator_benchmark.contact_sheet import write_sheets
+            from smooth_operator_benchmark.model_shape import ModelShape
 
             with progress.waiting("drawing the hands"):
                 written += [
                     path.name for path in write_sheets(finished, options.output, ModelShape)
                 ]
         elif not options.no_report:
-            from smooth_operator.benchmark.page import write_report
-            from smooth_operator.cli.hand_shape import ModelShape
+            from smooth_operator_benchmark.model_shape import ModelShape
+            from smooth_operator_benchmark.page import write_report
 
             with progress.waiting("drawing the report"):
                 write_report(finished, rows, settings, comparison, ModelShape)

@@ -12,22 +12,23 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import median_filter
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.benchmark.figures import Panel, make_panels, shortened
-from smooth_operator.benchmark.suite import Finished
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
 from smooth_operator.metrics.posture import human_extensions
-from smooth_operator.reporting.hand_surface import (
+from smooth_operator.reporting.report_page import plot_name
+from smooth_operator.reporting.run_plots import Panel
+from smooth_operator.teleop.pages.hand_view import view_basis
+from smooth_operator.types import Side
+from smooth_operator_benchmark.figures import make_panels, shortened
+from smooth_operator_benchmark.hand_surface import (
     PAPER,
     HandShape,
     SkeletonShape,
     Surface,
     landmark_surface,
     paint,
-    view_basis,
 )
-from smooth_operator.reporting.report_page import plot_name
-from smooth_operator.types import Side
+from smooth_operator_benchmark.suite import Finished
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import BASES, FINGER_COLORS, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
+from smooth_operator.landmarks import BASES, LANDMARKS, NUM_LANDMARKS, WRIST
+from smooth_operator.teleop.pages.hand_view import FINGER_COLORS
 
 PALM_COLOR: Final = (190, 194, 200)
 PAPER: Final = 255
@@ -34,30 +35,6 @@ class Surface(NamedTuple):
 
     triangles: Float[np.ndarray, "N 3 3"]
     colors: UInt8[np.ndarray, "N 3"]
-
-
-def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Axes of the view in the palm frame; its rows point right, up and towards the viewer, with
-    fingers up and palm visible.
-
-    The thumb of a right hand is on the right, as when you look at your own palm, and that of a left
-    hand on the left. The jaws of a gripper are on both sides of its middle.
-    """
-    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
-    bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
-    long = bases if hand.spec.gripper else bases[1:]
-    up = np.mean(long, axis=0) - hand.wrist
-    across = bases[0] - bases[-1]
-    if hand.spec.side == "left":
-        across = -across
-    up = up / max(float(np.linalg.norm(up)), 1e-9)
-    right = across - up * (across @ up)
-    length = float(np.linalg.norm(right))
-    if length < 1e-6:  # finger bases in line with the wrist: any direction across will do
-        right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-        length = float(np.linalg.norm(right))
-    right /= length
-    return np.stack([right, up, np.cross(right, up)])
 
 
 class HandShape(Protocol):
@@ -118,7 +95,7 @@ def landmark_surface(points: Float[np.ndarray, "21 3"]) -> Surface:
     for chain, color in zip(chains, FINGER_COLORS, strict=True):
         for a, b in pairwise(chain):
             pieces.append(rod(points[a], points[b], radius))
-            colors.append(rgb(color))
+            colors.append(color)
     rim = [WRIST, *bases]
     for a, b in zip(rim, [*bases, WRIST], strict=True):
         pieces.append(rod(points[a], points[b], 0.9 * radius))
@@ -239,8 +216,3 @@ def _outline(depth: Float[np.ndarray, "H W"], step: float) -> np.ndarray:
 
 def _length(points: Float[np.ndarray, "k 3"]) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).sum())
-
-
-def rgb(code: str) -> tuple[int, int, int]:
-    """Red, green and blue of a colour ``#rrggbb``, 0 to 255."""
-    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)

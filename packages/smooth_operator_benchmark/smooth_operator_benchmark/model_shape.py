@@ -11,8 +11,8 @@ from jaxtyping import Float
 from smooth_operator.cli.common_options import Meshes
 from smooth_operator.cli.page import hand_to_draw
 from smooth_operator.hands.hand import Hand
-from smooth_operator.reporting.hand_surface import PALM_COLOR, Surface, view_basis
-from smooth_operator.teleop.pages.hand_view import HandView, coarser, finger_colors
+from smooth_operator.teleop.pages.hand_view import HandView, coarser, finger_colors, view_basis
+from smooth_operator_benchmark.hand_surface import PALM_COLOR, Surface
 
 _FACES: Final = 4000  # maximum number of triangles of a body in a picture of a hand
 _FOREARM: Final = 0.03  # length that is drawn below the wrist [m]

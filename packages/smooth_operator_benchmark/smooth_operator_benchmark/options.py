@@ -15,7 +15,7 @@ from smooth_operator.cli.common_options import RARE, Common, HandSide, Ordered
 class Bench(Ordered, Common):
     """Compare methods on recordings and hands: a table, results.json, an HTML report."""
 
-    work: ClassVar[str] = "smooth_operator.cli.bench:bench"
+    work: ClassVar[str] = "smooth_operator_benchmark.command:bench"
     details: ClassVar[str] = """Writes to FOLDER: results.json (one row per recording, hand and
 method), report.html (everything in one file: tables, poses, plots, clips), summary.md (the main
 table), plots/, and cells/ (the commands of each row). Run the same command again to continue a
@@ -47,8 +47,8 @@ Examples:
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       measure a folder of recordings on every hand, in eight processes
   smooth-operator bench --physics --output out
-      measure how well hands do tasks in simulation (first: pip install ./research;
-      see research/docs/physics.md)
+      measure how well hands do tasks in simulation (first: pip install
+      ./packages/smooth_operator_study ./research; see research/docs/physics.md)
 """
 
     rare: ClassVar[frozenset[str]] = RARE

@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.benchmark.cells import Cell, Settings
 from smooth_operator.errors import ConfigError
 from smooth_operator.execution import built_for, execute, measure
 from smooth_operator.metrics import Metric, Trace, accuracy, consistency, service, summary
@@ -26,6 +25,7 @@ from smooth_operator.metrics.table import add_metrics
 from smooth_operator.planning import configuration
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory
+from smooth_operator_benchmark.cells import Cell, Settings
 
 
 @dataclass(frozen=True, eq=False)

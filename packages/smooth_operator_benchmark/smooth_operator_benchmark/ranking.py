@@ -10,7 +10,11 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 from scipy.stats import rankdata
 
-from smooth_operator.benchmark.suite import (
+from smooth_operator.errors import counted
+from smooth_operator.metrics import METRICS, Metric
+from smooth_operator.metrics.pinches import LEAST_PINCHED
+from smooth_operator.metrics.table import plugin_metrics
+from smooth_operator_benchmark.suite import (
     Row,
     row_key,
     row_method,
@@ -18,10 +22,6 @@ from smooth_operator.benchmark.suite import (
     row_unit,
     value_of,
 )
-from smooth_operator.errors import counted
-from smooth_operator.metrics import METRICS, Metric
-from smooth_operator.metrics.pinches import LEAST_PINCHED
-from smooth_operator.metrics.table import plugin_metrics
 
 _BY_NAME: Final = {metric.name: metric for metric in METRICS}
 

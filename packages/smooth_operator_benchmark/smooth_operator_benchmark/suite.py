@@ -19,32 +19,18 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.atomic_files import output_error, write_json
-from smooth_operator.benchmark.cells import (
-    Cell,
-    Settings,
-    benchmark_code,
-    cells_of,
-    fingerprint,
-    method_label,
-    select_methods,
-)
-from smooth_operator.benchmark.quality import (
-    Latency,
-    Measured,
-    measure_cell,
-    measure_latency,
-)
-from smooth_operator.benchmark.recordings import UNKNOWN_TRACKER, load_sources, parse_request
-from smooth_operator.errors import DocumentError, OutputError, RecordingError, UnknownNameError
+from smooth_operator.atomic_files import write_json
+from smooth_operator.cli.outputs import CONFIG, check_folder
+from smooth_operator.errors import DocumentError, RecordingError, UnknownNameError
 from smooth_operator.formats.commands import read_commands, write_commands
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.documents import read_json
 from smooth_operator.metrics import Metric
 from smooth_operator.metrics.table import add_metrics
 from smooth_operator.parallel import TaskResult, run_tasks
-from smooth_operator.planning import PROGRAM, read_configuration
+from smooth_operator.planning import PROGRAM
 from smooth_operator.reporter import Reporter
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator.result_cache import (
     Job,
     Note,
@@ -55,42 +41,28 @@ from smooth_operator.result_cache import (
     no_note,
 )
 from smooth_operator.types import CommandTrajectory
+from smooth_operator_benchmark.cells import (
+    Cell,
+    Settings,
+    benchmark_code,
+    cells_of,
+    fingerprint,
+    select_methods,
+)
+from smooth_operator_benchmark.quality import (
+    Latency,
+    Measured,
+    measure_cell,
+    measure_latency,
+)
+from smooth_operator_benchmark.recordings import UNKNOWN_TRACKER, load_sources, parse_request
 
 COMMAND: Final = "bench"
 CELLS: Final = "cells"
-CONFIG: Final = "config.json"
 RESULTS: Final = "results.json"
 REPORT: Final = "report.html"
 PLOTS: Final = "plots"
-
-
-def check_folder(
-    folder: Path, command: str = COMMAND, former: str = "an earlier benchmark"
-) -> None:
-    """Checks that results may be written into a folder. Does not write anything.
-
-    Args:
-        command: command whose earlier results may be in the folder.
-        former: origin of those results, for the message.
-
-    Raises:
-        OutputError: it is a file, or the folder contains anything other than such results.
-    """
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise OutputError(
-            f"can't write into {str(folder)!r}: it is a file; give the name of a folder"
-        )
-    try:
-        empty = not any(folder.iterdir())
-    except OSError as error:
-        raise output_error(folder, error) from error
-    if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != command:
-        raise OutputError(
-            f"can't write into {str(folder)!r}: it contains files that are not from "
-            f"{former}; choose another folder with --output"
-        )
+_FORMER: Final = "an earlier benchmark"
 
 
 class MeasuredCache(ResultCache):
@@ -142,7 +114,7 @@ class BenchmarkFolder:
         self.settings = settings
         self.folder = settings.output
         self.environment = environment()
-        check_folder(self.folder)
+        check_folder(self.folder, COMMAND, _FORMER)
         self.measured = MeasuredCache(self.folder / CELLS, note)
         self._latencies = ResultCache(self.folder / CELLS, note)
         config = {"program": PROGRAM, "command": COMMAND, "settings": settings}
@@ -205,7 +177,7 @@ def plan_cells(settings: Settings) -> list[Cell]:
     """Reads the recordings and plans all cells to measure; writes nothing. Raises
     SmoothOperatorError for an unknown name, if no recording can be read, or if the folder has other
     contents."""
-    check_folder(settings.output)
+    check_folder(settings.output, COMMAND, _FORMER)
     add_metrics(settings.metrics)
     requests = [
         parse_request(

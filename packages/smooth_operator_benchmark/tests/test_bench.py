@@ -18,19 +18,6 @@ from browser_page import new_page
 from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand, read_commands
 from smooth_operator.atomic_files import file_name
 from smooth_operator.baselines.joint_angle import JointAngleConfig
-from smooth_operator.benchmark import compare, quality, read_results, suite
-from smooth_operator.benchmark.cells import (
-    Cell,
-    Settings,
-    cells_of,
-    fingerprint,
-    select_methods,
-)
-from smooth_operator.benchmark.figures import Panel, Run, make_clip
-from smooth_operator.benchmark.quality import measure_cell
-from smooth_operator.benchmark.ranking import Line, best, change_verdict, failures, overall
-from smooth_operator.benchmark.recordings import load_sources, parse_request, unique_names
-from smooth_operator.benchmark.suite import Row
 from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
@@ -40,8 +27,8 @@ from smooth_operator.landmarks import TIPS
 from smooth_operator.metrics import METRICS
 from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
-from smooth_operator.reporting.hand_surface import view_basis
 from smooth_operator.reporting.report_page import Plots
+from smooth_operator.reporting.run_plots import Panel, Run
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.palm import human_palm_axes
@@ -50,6 +37,20 @@ from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic.tracker import tracker_model
+from smooth_operator.teleop.pages.hand_view import view_basis
+from smooth_operator_benchmark import compare, quality, read_results, suite
+from smooth_operator_benchmark.cells import (
+    Cell,
+    Settings,
+    cells_of,
+    fingerprint,
+    select_methods,
+)
+from smooth_operator_benchmark.figures import make_clip
+from smooth_operator_benchmark.quality import measure_cell
+from smooth_operator_benchmark.ranking import Line, best, change_verdict, failures, overall
+from smooth_operator_benchmark.recordings import load_sources, parse_request, unique_names
+from smooth_operator_benchmark.suite import Row
 
 # The smallest SBR there is: it compiles in a second.
 TINY = SbrConfig(sampling=SamplingConfig(samples=32, elites=8, cycles=2))
@@ -96,7 +97,7 @@ def small() -> Iterator[None]:
         patch.setitem(PRESETS["sbr"], "tiny", TINY)
         patch.setitem(METHODS.built_in, "picky", Entry(f"{__name__}:PICKY"))
         # Other work in this checkout must not look like a change of a method between two runs.
-        patch.setattr("smooth_operator.benchmark.cells.code_digest", lambda *_: "fixed")
+        patch.setattr("smooth_operator_benchmark.cells.code_digest", lambda *_: "fixed")
         yield
 
 

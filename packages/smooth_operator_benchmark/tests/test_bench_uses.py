@@ -9,11 +9,14 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from smooth_operator.benchmark import ranking
-from smooth_operator.benchmark.cells import Settings
-from smooth_operator.benchmark.figures import latency_figure
-from smooth_operator.benchmark.page.report import macros, summary_text
-from smooth_operator.benchmark.ranking import (
+from smooth_operator.metrics import METRICS
+from smooth_operator.reporting.drawing import colors_of, series, styled, write_figure
+from smooth_operator.reporting.run_plots import latency_figure
+from smooth_operator_benchmark import ranking
+from smooth_operator_benchmark.cells import Settings
+from smooth_operator_benchmark.figures import name_points
+from smooth_operator_benchmark.page.report import macros, summary_text
+from smooth_operator_benchmark.ranking import (
     COLUMNS,
     HEADLINES,
     Line,
@@ -21,9 +24,7 @@ from smooth_operator.benchmark.ranking import (
     by_tracker,
     overall,
 )
-from smooth_operator.benchmark.suite import Row
-from smooth_operator.metrics import METRICS
-from smooth_operator.reporting.drawing import colors_of, name_points, series, styled, write_figure
+from smooth_operator_benchmark.suite import Row
 
 METRIC = {metric.name: metric for metric in METRICS}
 COLUMN_NAMES = [metric.name for metric in COLUMNS]

@@ -3,18 +3,18 @@
 import numpy as np
 
 from smooth_operator import load_hand
-from smooth_operator.benchmark.contact_sheet import (
+from smooth_operator.reporting.run_plots import Panel, Run, robot_landmarks
+from smooth_operator.synthetic.gestures import FIST, FLAT, pinch_postures
+from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
+from smooth_operator_benchmark.contact_sheet import (
     CELL,
     HandPicture,
     contact_sheet,
     find_poses,
     pose_scores,
 )
-from smooth_operator.benchmark.figures import Panel, Run, robot_landmarks
-from smooth_operator.cli.hand_shape import ModelShape
-from smooth_operator.reporting.hand_surface import Surface, landmark_surface, paint, rod
-from smooth_operator.synthetic.gestures import FIST, FLAT, pinch_postures
-from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
+from smooth_operator_benchmark.hand_surface import Surface, landmark_surface, paint, rod
+from smooth_operator_benchmark.model_shape import ModelShape
 
 STILL = 9
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from smooth_operator.benchmark.page.report import macros
 from smooth_operator.metrics import Metric
 from smooth_operator.reporting.report_page import Html, element, escape
+from smooth_operator_benchmark.page.report import macros
 
 
 def table(

@@ -17,9 +17,9 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from scipy.stats import spearmanr
 
-from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
 from smooth_operator.types import HandRecording
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 
 PALM: Final = (WRIST, *BASES[1:])
 """Landmarks of the palm: wrist and MCPs."""

@@ -52,9 +52,8 @@ Examples:
 def demo(options: Demo) -> None:
     """Records the synthetic operator, retargets and measures the motion, serves the page and writes
     the folder."""
-    from smooth_operator.benchmark.suite import check_folder
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
-    from smooth_operator.cli.outputs import folder_for, staged
+    from smooth_operator.cli.outputs import check_folder, folder_for, staged
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.cli.sample import synthetic_operator
     from smooth_operator.cli.session import execute_shown
@@ -117,9 +116,9 @@ def _write(
     folder: Path, todo: Plan, outcome: Outcome, metrics: dict[str, Any], config: dict[str, Any]
 ) -> None:
     from smooth_operator.atomic_files import write_json
-    from smooth_operator.benchmark.figures import save_plots
     from smooth_operator.formats.commands import write_commands
     from smooth_operator.formats.episode import Episode
+    from smooth_operator.reporting.run_plots import save_plots
     from smooth_operator.teleop.recording import write_episode
 
     commands = outcome.commands

@@ -67,7 +67,8 @@ SCORECARDS: Final = Registry(
     {},
     elsewhere={
         "card": (
-            "part of the package smooth-retargeting-research: python -m pip install ./research "
+            "part of the package smooth-retargeting-research: python -m pip install . "
+            "./packages/smooth_operator_benchmark ./packages/smooth_operator_study ./research "
             "in a clone of the repository"
         )
     },

@@ -20,7 +20,6 @@ from typing import Annotated, Any, Final, TypeAlias, get_args, get_type_hints
 import tyro
 from tyro.conf import Suppress, arg
 
-from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.calibrate import Calibrate
 from smooth_operator.cli.common_options import Common, Group, described
 from smooth_operator.cli.convert import Convert
@@ -213,7 +212,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
       write recording and commands to one file in another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
-      compare methods: a table, results.json and an HTML report
+      compare methods: a table and an HTML report (packages/smooth_operator_benchmark)
   smooth-operator calibrate glove.npz --output operator.json
       measure the gaps that a tracker reports when thumb and finger touch, and write them to a file
   smooth-operator train geort glove.npz --output my-geort
@@ -244,7 +243,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "edit": Edit,
     "view": View,
     "convert": Convert,
-    "bench": Bench,
     "train": Train,
     "hands": Hands,
     "calibrate": Calibrate,
@@ -252,6 +250,10 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
 }
 
 
+_BENCHMARK: Final = (
+    "the distribution smooth-operator-benchmark",
+    'python -m pip install ".[teleop]" ./packages/smooth_operator_benchmark',
+)
 _STUDY: Final = (
     "the distribution smooth-operator-study",
     'python -m pip install ".[teleop]" ./packages/smooth_operator_study',
@@ -259,9 +261,11 @@ _STUDY: Final = (
 _DEVICES: Final = (f"the distribution {DEVICES}", devices_command())
 _RESEARCH: Final = (
     "the research distribution",
-    "python -m pip install . ./packages/smooth_operator_study ./research",
+    "python -m pip install . ./packages/smooth_operator_benchmark ./packages/smooth_operator_study "
+    "./research",
 )
 _DISTRIBUTIONS: Final = {
+    "bench": _BENCHMARK,
     "study": _STUDY,
     "hardware": _DEVICES,
     **dict.fromkeys(("paper", "ablate", "physics", "cross-hand", "study.simulate"), _RESEARCH),

@@ -6,11 +6,12 @@ import contextlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.commands import config_path
-from smooth_operator.planning import foreign_result
+from smooth_operator.planning import foreign_result, read_configuration
 
 
 def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
@@ -29,6 +30,37 @@ def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         raise OutputError(
             f"can't write {str(path)!r}: it exists; choose another name, or add --overwrite"
+        )
+
+
+CONFIG: Final = "config.json"
+"""Name of the file with the settings in a folder of results."""
+
+
+def check_folder(folder: Path, command: str, former: str) -> None:
+    """Checks that results may be written into a folder. Does not write anything.
+
+    Args:
+        command: command whose earlier results may be in the folder.
+        former: origin of those results, for the message.
+
+    Raises:
+        OutputError: it is a file, or the folder contains anything other than such results.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise OutputError(
+            f"can't write into {str(folder)!r}: it is a file; give the name of a folder"
+        )
+    try:
+        empty = not any(folder.iterdir())
+    except OSError as error:
+        raise output_error(folder, error) from error
+    if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != command:
+        raise OutputError(
+            f"can't write into {str(folder)!r}: it contains files that are not from "
+            f"{former}; choose another folder with --output"
         )
 
 

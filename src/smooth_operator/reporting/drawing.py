@@ -6,7 +6,7 @@ import html
 import io
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,6 +15,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.retargeting.registry import METHODS, as_presets
 
 if TYPE_CHECKING:
@@ -85,6 +86,21 @@ def styled() -> Iterator[None]:
         yield
 
 
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Makes an empty figure of some width and height [inches]."""
+    from matplotlib.figure import Figure  # not pyplot: no display, no global list of figures
+
+    return Figure(figsize=size)
+
+
+def legend_entry(color: str, label: str, marker: str = "", line: str = "") -> Any:
+    """Makes an entry of a legend: a marker, a line or the text alone."""
+    from matplotlib.lines import Line2D
+
+    style: dict[str, Any] = {"marker": marker, "markersize": 6, "linestyle": line, "linewidth": 1.3}
+    return Line2D([], [], color=color, label=label, **style)
+
+
 def series(name: str, label: str = "") -> str:
     """Value of ``gid`` for the parts of a series in a plot. While the user hovers over one series,
     the page dims the others.
@@ -93,51 +109,6 @@ def series(name: str, label: str = "") -> str:
         name: name of the series, as in ``data-series`` of the page's tables.
     """
     return f"series|{name.replace('|', ' ')}|{label}"
-
-
-def name_points(ax: Axes, points: Mapping[str, tuple[float, float]], size: float = 9.0) -> None:
-    """Labels each point where there is room. Call it only when the axis limits and the layout no
-    longer change.
-
-    Args:
-        points: name -> x and y of the data.
-        size: size of the letters [points].
-    """
-    line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
-    scale = 72.0 / ax.figure.dpi
-    places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
-    covered = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
-    (x0, y0), (x1, y1) = scale * ax.bbox.get_points()
-    shifts = [sign * 0.25 * line * k for k in range(29) for sign in (1, -1)]
-    for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
-        width = letter * len(name)
-        boxes = [
-            (left, y - 0.4 * size + shift, width, line)
-            for shift in shifts
-            for left in (x + aside, x - aside - width)
-        ]
-        within = [
-            box
-            for box in boxes
-            if x0 <= box[0] and box[0] + width <= x1 and y0 <= box[1] and box[1] + line <= y1
-        ]
-        free = (box for box in within if not any(_meet(box, other) for other in covered))
-        box = next(free, (within or boxes)[0])
-        covered.append(box)
-        far = abs(box[1] + 0.4 * size - y) > line
-        ax.annotate(
-            name,
-            points[name],
-            textcoords="offset points",
-            fontsize=size,
-            xytext=(box[0] - x, box[1] + 0.2 * size - y),
-            arrowprops={"arrowstyle": "-", "color": GRID, "linewidth": 0.5} if far else None,
-        )
-
-
-def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    """True if two boxes (left, low, width, height) overlap."""
-    return all(one[k] < other[k] + other[k + 2] and other[k] < one[k] + one[k + 2] for k in (0, 1))
 
 
 def plain_logs(ax: Axes, both: bool = True) -> None:
@@ -225,3 +196,12 @@ def method_color(name: str) -> str | None:
         return None
     color: str | None = next(iter(presets.values())).color
     return color
+
+
+def method_label(method: str, preset: str) -> str:
+    """Name of a method in tables; the default preset is not shown."""
+    try:
+        default = next(iter(PRESETS[method]))
+    except SmoothOperatorError:  # a method of older results, or of a missing plugin
+        default = ""
+    return method if preset == default else f"{method}:{preset}"

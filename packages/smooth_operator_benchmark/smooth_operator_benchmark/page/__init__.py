@@ -1,3 +1,3 @@
 """The report of a benchmark, which is one self-contained HTML file."""
 
-from smooth_operator.benchmark.page.report import write_report as write_report
+from smooth_operator_benchmark.page.report import write_report as write_report

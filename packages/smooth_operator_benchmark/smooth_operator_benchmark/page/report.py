@@ -15,16 +15,40 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, file_name
-from smooth_operator.benchmark import figures, ranking
-from smooth_operator.benchmark.cells import Settings, method_label
-from smooth_operator.benchmark.contact_sheet import (
+from smooth_operator.errors import counted
+from smooth_operator.hands.hand import Hand
+from smooth_operator.metrics import Metric
+from smooth_operator.metrics.table import GROUPS, known_metrics
+from smooth_operator.reporting.drawing import colors_of, method_label, styled
+from smooth_operator.reporting.report_page import (
+    SORTING,
+    Html,
+    Plots,
+    data,
+    element,
+    join,
+    paragraph,
+    templates,
+    write_report_page,
+)
+from smooth_operator.reporting.run_plots import (
+    TRAJECTORY_SECONDS,
+    Panel,
+    fingertip_figure,
+    joint_figure,
+    latency_figure,
+)
+from smooth_operator_benchmark import figures, ranking
+from smooth_operator_benchmark.cells import Settings
+from smooth_operator_benchmark.contact_sheet import (
     contact_sheet,
     panels_by_hand,
     skeleton_shape,
 )
-from smooth_operator.benchmark.figures import Panel, make_clip, make_panels
-from smooth_operator.benchmark.quality import PER_FINGER
-from smooth_operator.benchmark.ranking import (
+from smooth_operator_benchmark.figures import make_clip, make_panels
+from smooth_operator_benchmark.hand_surface import HandShape
+from smooth_operator_benchmark.quality import PER_FINGER
+from smooth_operator_benchmark.ranking import (
     COLUMN_GROUPS,
     COLUMNS,
     HEADLINES,
@@ -40,24 +64,7 @@ from smooth_operator.benchmark.ranking import (
     sample_text,
     shown_value,
 )
-from smooth_operator.benchmark.suite import PLOTS, REPORT, Finished, Row, row_method, row_unit
-from smooth_operator.errors import counted
-from smooth_operator.hands.hand import Hand
-from smooth_operator.metrics import Metric
-from smooth_operator.metrics.table import GROUPS, known_metrics
-from smooth_operator.reporting.drawing import colors_of, styled
-from smooth_operator.reporting.hand_surface import HandShape
-from smooth_operator.reporting.report_page import (
-    SORTING,
-    Html,
-    Plots,
-    data,
-    element,
-    join,
-    paragraph,
-    templates,
-    write_report_page,
-)
+from smooth_operator_benchmark.suite import PLOTS, REPORT, Finished, Row, row_method, row_unit
 
 SUMMARY: Final = "summary.md"
 _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
@@ -305,7 +312,7 @@ def _timing(
             if row["hand"] == hand:
                 samples.setdefault(row_method(row), []).append(latency.samples_ms)
         with styled():
-            drawn = figures.latency_figure(samples, colors)
+            drawn = latency_figure(samples, colors)
         caption = (
             f"Each dot is a frame on {hand}, from all recordings. The lines are means of the "
             "recordings' percentiles, as in the table. The number is the median."
@@ -338,13 +345,13 @@ def _recordings(
         if panel is not None:
             stem = file_name("-".join(key), key)
             with styled():
-                tips = figures.fingertip_figure(panel, colors)
-                joints = figures.joint_figure(panel, colors)
+                tips = fingertip_figure(panel, colors)
+                joints = joint_figure(panel, colors)
             content["clip"] = make_clip(panel, colors, hands)
             content["tips"] = plots.element(
                 tips,
                 f"fingertips-{stem}",
-                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
+                f"Fingertips in the palm frame over the {TRAJECTORY_SECONDS:g} s in which "
                 "the human's fingertips travel the farthest. The human hand (grey) is aligned "
                 "with the settings of the first method.",
             )

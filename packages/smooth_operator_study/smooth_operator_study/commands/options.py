@@ -357,8 +357,8 @@ class Study(Group):
   smooth-operator study run my-study --open
   smooth-operator study analyze trials.csv tlx.csv --baseline dexpilot --output out
   smooth-operator study simulate my-study
-      let virtual operators carry out the plan (first: pip install ./research;
-      see research/docs/study.md)
+      let virtual operators carry out the plan (first: pip install
+      ./packages/smooth_operator_benchmark ./research; see research/docs/study.md)
 
 Each has its own help: smooth-operator study analyze --help"""
 

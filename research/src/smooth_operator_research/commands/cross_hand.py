@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from smooth_operator.atomic_files import atomic_write, claimed
-from smooth_operator.cli.bench import SOME_FAILED, comma_words
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.errors import ConfigError, require
 from smooth_operator.reporting.drawing import styled
 from smooth_operator.retargeting.start import start_jax
+from smooth_operator_benchmark.command import SOME_FAILED, comma_words
 from smooth_operator_research.commands.cross_hand_options import (
     DrawStrip,
     ReportMatrix,

@@ -9,13 +9,13 @@ from rich.table import Table
 from rich.text import Text
 
 from smooth_operator.atomic_files import claimed
-from smooth_operator.benchmark.cells import only_side
-from smooth_operator.benchmark.suite import REPORT
-from smooth_operator.cli.bench import SOME_FAILED, comma_words
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.errors import require
 from smooth_operator.retargeting.start import start_jax
+from smooth_operator_benchmark.cells import only_side
+from smooth_operator_benchmark.command import SOME_FAILED, comma_words
+from smooth_operator_benchmark.suite import REPORT
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.measure import PhysicsSettings
 from smooth_operator_research.physics.page import write_files, write_report

@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.benchmark.cells import hand_identity, select_hands, select_methods
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.parallel import run_tasks
 from smooth_operator.reporter import Reporter
@@ -22,6 +21,7 @@ from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.simulation.tasks import TASKS as SIMULATED_TASKS
 from smooth_operator.source_digest import HOME
 from smooth_operator.synthetic.tracker import tracker_model
+from smooth_operator_benchmark.cells import hand_identity, select_hands, select_methods
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.cross_hand.plans import PLANS
 from smooth_operator_research.cross_hand.results import Cell, MatrixResults

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.benchmark.cells import method_label
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator.simulation.tasks import TASKS as SIMULATED_TASKS
 from smooth_operator_research.cross_hand.matrix import HANDS, METHODS, TASKS, TRACKERS, trial_code
 from smooth_operator_research.cross_hand.plans import PLANS

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from smooth_operator.benchmark.cells import select_methods
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -18,6 +17,7 @@ from smooth_operator.retargeting.program_store import ProgramStore
 from smooth_operator.simulation.tasks import FIXED_WRIST
 from smooth_operator.simulation.tasks.task import PRESSES_N
 from smooth_operator.types import CommandTrajectory
+from smooth_operator_benchmark.cells import select_methods
 from smooth_operator_research.cross_hand import fixed_wrist, human, replay
 from smooth_operator_research.cross_hand.fixed_wrist import FixedWristDemonstration, Watch
 from smooth_operator_research.cross_hand.human import HumanDemonstration

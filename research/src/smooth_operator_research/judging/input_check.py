@@ -16,12 +16,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.io.landmark_order import doubt
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 from smooth_operator_research.run_report import markdown
 
 MIRROR: Final = np.array([-1.0, 1.0, 1.0])

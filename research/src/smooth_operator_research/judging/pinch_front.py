@@ -18,7 +18,6 @@ import numpy as np
 import tyro
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.parallel import run_tasks
@@ -26,6 +25,7 @@ from smooth_operator.reporting.drawing import INK, styled, write_figure
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.preset_files import method_config, with_settings
 from smooth_operator.retargeting.presets import default_preset
+from smooth_operator_benchmark.recordings import load_sources, parse_request
 from smooth_operator_research.physics.grasp_measures import PinchHold
 from smooth_operator_research.physics.measure import Case, Unit
 from smooth_operator_research.run_report import RESULTS, BenchmarkError, Report

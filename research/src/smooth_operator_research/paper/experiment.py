@@ -14,8 +14,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.baselines.slsqp_method import DEXPILOT
-from smooth_operator.benchmark.recordings import Source, load_sources, parse_request
-from smooth_operator.benchmark.suite import check_folder as check_benchmark_folder
+from smooth_operator.cli.outputs import check_folder as check_benchmark_folder
 from smooth_operator.errors import DocumentError, UnknownNameError, counted
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
@@ -31,6 +30,7 @@ from smooth_operator.result_cache import (
     no_note,
 )
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator_benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.paper.compared_solvers import Solver
 from smooth_operator_research.paper.runs import Problem, Run, make_problems, run_solver

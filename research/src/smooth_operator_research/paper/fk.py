@@ -24,11 +24,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from smooth_operator.benchmark.quality import Watch
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.result_cache import content_digest
+from smooth_operator_benchmark.quality import Watch
 from smooth_operator_research.paper.experiment import (
     Drawing,
     ExperimentContext,

@@ -11,16 +11,6 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.benchmark.cells import (
-    Cell,
-    Choice,
-    Settings,
-    benchmark_code,
-    fingerprint,
-    method_label,
-    select_methods,
-)
-from smooth_operator.benchmark.recordings import SYNTHETIC_SECONDS, Source
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.execution import built_for
 from smooth_operator.hands.hand import Hand
@@ -30,11 +20,21 @@ from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
 from smooth_operator.planning import Plan
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator.result_cache import Job
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator.types import HandRecording
+from smooth_operator_benchmark.cells import (
+    Cell,
+    Choice,
+    Settings,
+    benchmark_code,
+    fingerprint,
+    select_methods,
+)
+from smooth_operator_benchmark.recordings import SYNTHETIC_SECONDS, Source
 from smooth_operator_research.paper.experiment import Compute, ExperimentContext, cell_job
 from smooth_operator_research.paper.intervals import (
     Contrast,

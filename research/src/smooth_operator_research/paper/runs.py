@@ -21,8 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.benchmark.quality import Watch
-from smooth_operator.benchmark.recordings import Source
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -37,6 +35,8 @@ from smooth_operator.retargeting.sbr.random_numbers import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
 from smooth_operator.retargeting.targets import Targets
+from smooth_operator_benchmark.quality import Watch
+from smooth_operator_benchmark.recordings import Source
 from smooth_operator_research.paper.compared_solvers import (
     NEWTON_CONFIG,
     CompiledSolver,

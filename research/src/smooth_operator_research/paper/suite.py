@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.reporting.drawing import styled
 from smooth_operator.result_cache import Note, no_note
+from smooth_operator_benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator_research.paper.experiment import (
     DEFAULT,
     PUBLISHED,

@@ -11,17 +11,17 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.benchmark.cells import Cell, Settings, benchmark_code, fingerprint
-from smooth_operator.benchmark.page.report import PAPER_NOTE, PAPER_TABLE
-from smooth_operator.benchmark.quality import measure_latency
-from smooth_operator.benchmark.ranking import HEADLINES, Line, best, merit, shown_value
-from smooth_operator.benchmark.recordings import Source
 from smooth_operator.execution import Outcome as Execution
 from smooth_operator.execution import built_for, execute, measure
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.metrics import Metric, evaluate
 from smooth_operator.planning import Plan
+from smooth_operator_benchmark.cells import Cell, Settings, benchmark_code, fingerprint
+from smooth_operator_benchmark.page.report import PAPER_NOTE, PAPER_TABLE
+from smooth_operator_benchmark.quality import measure_latency
+from smooth_operator_benchmark.ranking import HEADLINES, Line, best, merit, shown_value
+from smooth_operator_benchmark.recordings import Source
 from smooth_operator_research.paper.experiment import (
     Drawing,
     ExperimentContext,

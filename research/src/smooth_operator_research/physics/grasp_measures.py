@@ -11,11 +11,11 @@ from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.benchmark.recordings import SYNTHETIC, load_sources, parse_request
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.aligned_recording import align_recording, calibrate_scale
 from smooth_operator.types import HandRecording, Side
+from smooth_operator_benchmark.recordings import SYNTHETIC, load_sources, parse_request
 from smooth_operator_research.physics.grasp_physics import (
     GRASP_OBJECTS,
     POWER_GRASP_OBJECTS,

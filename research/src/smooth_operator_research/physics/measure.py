@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.errors import ConfigError
 from smooth_operator.execution import built_for, execute
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.planning import Plan
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.method import MethodConfig
@@ -30,6 +30,7 @@ from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
+from smooth_operator_benchmark.cells import ALL, select_hands, select_methods
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
 

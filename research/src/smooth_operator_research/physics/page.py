@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.benchmark.figures import Panel, Run, make_clip, robot_landmarks
-from smooth_operator.benchmark.suite import PLOTS, REPORT
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
@@ -29,7 +27,10 @@ from smooth_operator.reporting.report_page import (
     paragraph,
     write_report_page,
 )
+from smooth_operator.reporting.run_plots import Panel, Run, robot_landmarks
 from smooth_operator.types import as_side
+from smooth_operator_benchmark.figures import make_clip
+from smooth_operator_benchmark.suite import PLOTS, REPORT
 from smooth_operator_research.html_tables import (
     facts_table,
     header,
@@ -156,7 +157,7 @@ def write_report(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) 
     sections.append(("Environment", "environment", environs))
     count = sum(len(outcome.results.rows) for outcome in outcomes)
     summary = f"{count} cases" + (f", {len(failed)} of them failed" if failed else "")
-    here = files("smooth_operator.benchmark.page")
+    here = files("smooth_operator_benchmark.page")
     return write_report_page(
         settings.output / REPORT,
         "What the hand achieves",

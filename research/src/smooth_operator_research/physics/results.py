@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.benchmark.cells import method_label
 from smooth_operator.metrics import Metric
+from smooth_operator.reporting.drawing import method_label
 from smooth_operator_research.paper.intervals import Samples, independent, mean_of
 
 Row: TypeAlias = dict[str, float | int | str | None]

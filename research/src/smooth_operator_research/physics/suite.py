@@ -10,13 +10,7 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from smooth_operator.atomic_files import write_json
-from smooth_operator.benchmark.cells import (
-    benchmark_code,
-    files_of,
-    hand_identity,
-    select_methods,
-)
-from smooth_operator.benchmark.suite import CONFIG, check_folder
+from smooth_operator.cli.outputs import CONFIG, check_folder
 from smooth_operator.errors import UnknownNameError
 from smooth_operator.formats.environment import environment
 from smooth_operator.parallel import TaskResult, run_tasks
@@ -29,6 +23,12 @@ from smooth_operator.result_cache import (
     content_digest,
     find_results,
     outside_code,
+)
+from smooth_operator_benchmark.cells import (
+    benchmark_code,
+    files_of,
+    hand_identity,
+    select_methods,
 )
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.physics.measure import (

@@ -76,8 +76,8 @@ def kapandji_picture(hand: Hand, touches: Sequence[Touch], columns: int, size: i
     from PIL import Image as pillow
     from PIL import ImageDraw
 
-    from smooth_operator.cli.hand_shape import ModelShape
-    from smooth_operator.reporting.hand_surface import Surface, paint, rod
+    from smooth_operator_benchmark.hand_surface import Surface, paint, rod
+    from smooth_operator_benchmark.model_shape import ModelShape
 
     shape = ModelShape(hand)
     rows = -(-len(touches) // columns)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.benchmark.cells import benchmark_code
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
@@ -21,6 +20,7 @@ from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.catalogue import task_named
 from smooth_operator.synthetic.tracker import tracker_model
+from smooth_operator_benchmark.cells import benchmark_code
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial

@@ -19,11 +19,34 @@ from smooth_operator.hands.capsules import hand_capsules
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.poses import rotate
-from smooth_operator.reporting.hand_surface import rgb, view_basis
 from smooth_operator.retargeting.palm import human_palm_axes
 
 if TYPE_CHECKING:
     import viser
+
+
+def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
+    """Axes of the view in the palm frame; its rows point right, up and towards the viewer, with
+    fingers up and palm visible.
+
+    The thumb of a right hand is on the right, as when you look at your own palm, and that of a left
+    hand on the left. The jaws of a gripper are on both sides of its middle.
+    """
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
+    long = bases if hand.spec.gripper else bases[1:]
+    up = np.mean(long, axis=0) - hand.wrist
+    across = bases[0] - bases[-1]
+    if hand.spec.side == "left":
+        across = -across
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    right = across - up * (across @ up)
+    length = float(np.linalg.norm(right))
+    if length < 1e-6:  # finger bases in line with the wrist: any direction across will do
+        right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        length = float(np.linalg.norm(right))
+    right /= length
+    return np.stack([right, up, np.cross(right, up)])
 
 
 class HandView:
@@ -284,7 +307,13 @@ def coarser(mesh: trimesh.Trimesh, most: int = _MOST_FACES) -> trimesh.Trimesh:
 
 Rgb = tuple[int, int, int]
 
-FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(map(rgb, landmarks.FINGER_COLORS))
+
+def _rgb(code: str) -> Rgb:
+    """Red, green and blue of a colour ``#rrggbb``, 0 to 255."""
+    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)
+
+
+FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(map(_rgb, landmarks.FINGER_COLORS))
 """Colour of each finger, thumb first."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """Colour of a pinching fingertip."""

@@ -1,0 +1,9 @@
+from smooth_operator_benchmark.cells import Settings as Settings
+from smooth_operator_benchmark.ranking import Comparison as Comparison
+from smooth_operator_benchmark.ranking import compare as compare
+from smooth_operator_benchmark.suite import Finished as Finished
+from smooth_operator_benchmark.suite import Row as Row
+from smooth_operator_benchmark.suite import make_rows as make_rows
+from smooth_operator_benchmark.suite import plan_cells as plan_cells
+from smooth_operator_benchmark.suite import read_results as read_results
+from smooth_operator_benchmark.suite import run_suite as run_suite
