@@ -283,8 +283,17 @@ def from_other_distributions(source: Path) -> list[tuple[str, str]]:
     ]
 
 
+def home_of(source: Path, call: ast.Call) -> Path:
+    """Folder to which the paths of a call of ``code_digest`` are relative."""
+    own = source.name == PACKAGE or any(keyword.arg == "home" for keyword in call.keywords)
+    return source if own else SOURCE
+
+
 def missing_code(source: Path) -> list[str]:
-    """Paths given to ``code_digest`` that do not exist (any more)."""
+    """Paths given to ``code_digest`` that do not exist (any more).
+
+    Without a folder of their own (``home``) they are paths of this package.
+    """
     return [
         f"{place(source, path)}:{node.lineno}: {given.value!r} is not in the package: results "
         "would be used again though their code has changed; if it has moved, name its new place"
@@ -293,7 +302,7 @@ def missing_code(source: Path) -> list[str]:
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "code_digest"
         for given in ast.walk(node)
         if isinstance(given, ast.Constant) and isinstance(given.value, str)
-        if not (source / given.value).exists()
+        if not (home_of(source, node) / given.value).exists()
     ]
 
 
