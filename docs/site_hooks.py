@@ -29,6 +29,7 @@ from mkdocs.structure.files import File
 _PROJECT = Path(__file__).resolve().parents[1]
 SOURCES = (
     _PROJECT / "src",
+    _PROJECT / "packages" / "smooth_hand_datasets",
     _PROJECT / "packages" / "smooth_operator_benchmark",
     _PROJECT / "packages" / "smooth_operator_study",
     _PROJECT / "packages" / "smooth_operator_devices",

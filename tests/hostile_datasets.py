@@ -178,9 +178,9 @@ def _packed(folder: Path) -> bytes:
     """Three clips in the format of the Parquet writer."""
     from two_hands import PAIRS, save_pairs
 
-    from smooth_operator.datasets.clip import RobotClip
-    from smooth_operator.datasets.writers.parquet import PARQUET
-    from smooth_operator.datasets.writers.registry import WritingOptions
+    from smooth_hand_datasets.pipeline.clip import RobotClip
+    from smooth_hand_datasets.pipeline.writers.parquet import PARQUET
+    from smooth_hand_datasets.pipeline.writers.registry import WritingOptions
 
     with PARQUET.open(folder / "packed", WritingOptions()) as writer:
         for path in sorted(save_pairs(folder / "pairs", 3).iterdir()):

@@ -55,10 +55,10 @@ def commands(path: Path) -> None:
 
 def overwrite(path: Path) -> None:
     """What is looked at before a file is replaced."""
-    from smooth_operator.datasets.writers.npz import taken
+    from smooth_operator.planning import foreign_result
     from smooth_operator.teleop.recording.convert import check_target
 
-    taken(path.with_suffix(".npz"), path.parent)
+    foreign_result(path.with_suffix(".npz"))
     check_target(path, {".h5": "hdf5", ".mcap": "mcap"}.get(path.suffix, "npz"), [], True)
 
 

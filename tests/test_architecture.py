@@ -14,7 +14,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
 """Experiments outside the wheel: they may import all of the package, which imports none of them."""
 DATA_SETS = SOURCE.parents[1] / "packages" / "smooth_hand_datasets" / "smooth_hand_datasets"
-"""Research data sets, outside the wheel in the same way."""
+"""The pipeline of data sets and research data sets, outside the wheel in the same way."""
 BENCHMARK = (
     SOURCE.parents[1] / "packages" / "smooth_operator_benchmark" / "smooth_operator_benchmark"
 )
@@ -76,7 +76,7 @@ SHARED = {
 }
 """What several wings use: module -> level. It imports no wing."""
 
-WINGS = {"teleop": 8, "hand_discovery": 8, "datasets": 8}
+WINGS = {"teleop": 8, "hand_discovery": 8}
 """Wings: each imports the core, what is shared, and itself."""
 
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
@@ -328,7 +328,9 @@ def test_distributions_import_only_those_below_them():
     }
     below = {RESEARCH.name: {BENCHMARK.name, STUDY.name}}
     assert imported == {source.name: below.get(source.name, set()) for source in (SOURCE, *OTHERS)}
-    named = re.compile(rf"({BENCHMARK.name}|{STUDY.name}|{DEVICES.name})\.\w")  # in a text
+    named = re.compile(
+        rf"({DATA_SETS.name}|{BENCHMARK.name}|{STUDY.name}|{DEVICES.name})\.\w"
+    )  # in a text
     assert [p.name for p in modules(SOURCE) if named.search(p.read_text(encoding="utf-8"))] == []
 
 
@@ -381,8 +383,8 @@ def test_each_way_to_break_a_rule_is_found(tmp_path):
         "gadget.py": "",
         "hands/spec.py": "from ..types import Side\nimport numpy as np",  # a lower level
         "hands/utils.py": "from pickle import load\n" + "\n" * 701,
-        "teleop/loop.py": "from smooth_operator import datasets\nload(allow_pickle=trusted)",
-        "datasets/__init__.py": 'code_digest("types.py", "moved.py")',
+        "teleop/loop.py": "from smooth_operator import hand_discovery\nload(allow_pickle=trusted)",
+        "hand_discovery/__init__.py": 'code_digest("types.py", "moved.py")',
         "retargeting/smooth.py": 'Entry("smooth_operator.teleop.loop:Loop"), "see smooth_operator"',
     }
     source = package(tmp_path, files)

@@ -12,8 +12,7 @@ from smooth_operator.calibration.estimate import Calibration, calibrate
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator, write_operator
 from smooth_operator.calibration.segments import PROMPTS, Prompt
 from smooth_operator.cli import main
-from smooth_operator.datasets.retargeting import Recipe
-from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import knuckle_joints
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.planning import make_request, plan
@@ -255,20 +254,6 @@ def test_what_calibrate_refuses(tmp_path, run):
         assert (status, out) == (2, ""), err
         assert message in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["glove.npz", "mine.json"]
-
-
-def test_a_folder_is_made_again_for_other_fingers_or_another_operator():
-    def digest(fingers: str | None, operator: OperatorProfile | None, **more: object) -> str:
-        asked = make_request(method="joint_angle", fingers=fingers, operator=operator, **more)
-        return Recipe(asked).digest
-
-    other = replace(KNOWN, pinch_gaps={"index": 0.09})
-    several = {digest(THREE, KNOWN), digest(None, None), digest(THREE, None), digest(THREE, other)}
-    several |= {digest(THREE, KNOWN, pinch_gaps="off"), digest("thumb,index,ring", KNOWN)}
-    assert len(several) == 6
-    assert digest(THREE, KNOWN) in several
-    with pytest.raises(UnknownNameError, match="unknown finger 'toe'"):
-        digest("thumb,toe", None)
 
 
 def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held():

@@ -329,7 +329,7 @@ def test_a_stop_says_in_one_line_how_to_go_on(run, glove, tmp_path, monkeypatch)
     def stop(*_: object, **more: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("smooth_operator.cli.dataset.make_dataset", stop)
+    monkeypatch.setattr("smooth_hand_datasets.commands.dataset.make_dataset", stop)
     folder = tmp_path / "results"
     status, out, err = run("retarget", glove.parent, *TINY, "--output", folder)
     assert (status, out) == (130, "")
@@ -371,6 +371,11 @@ def test_ctrl_c_on_a_page_is_the_usual_end(run, monkeypatch):
         ("paper --output x", "./research"),
         ("bench --physics", "./research"),
         ("study simulate x", "./research"),
+        ("dataset", "./packages/smooth_hand_datasets"),
+        ("dataset --help", "./packages/smooth_hand_datasets"),
+        ("dataset takes/ --output out", "./packages/smooth_hand_datasets"),
+        ("retarget . --output out", "./packages/smooth_hand_datasets"),
+        ("retarget --dataset fingers --output out", "./packages/smooth_hand_datasets"),
         ("bench recording.npz --output out", "./packages/smooth_operator_benchmark"),
         ("bench --help", "./packages/smooth_operator_benchmark"),
         ("study", "./packages/smooth_operator_study"),

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import smooth_hand_datasets
 import smooth_operator
 import smooth_operator_benchmark
 import smooth_operator_devices
@@ -52,7 +53,13 @@ def test_headers_are_cells_too():
 
 @pytest.mark.parametrize(
     "package",
-    [smooth_operator, smooth_operator_benchmark, smooth_operator_study, smooth_operator_devices],
+    [
+        smooth_operator,
+        smooth_hand_datasets,
+        smooth_operator_benchmark,
+        smooth_operator_study,
+        smooth_operator_devices,
+    ],
 )
 def test_there_is_one_writer(package):
     root = Path(package.__file__).parent

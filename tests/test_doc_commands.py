@@ -169,7 +169,7 @@ QUICK = ("docs/how-to/lerobot.md", "docs/how-to/manus.md")
 
 DEVICES = "leap|dynamixel|feetech|ability|allegro|inspire|linker|revo2|wuji|orca"
 ELSEWHERE = {
-    r"retarget --dataset": "needs a recorded data set; tests/test_another_hand.py runs it",
+    r"retarget --dataset": "needs a recorded data set; test_another_hand.py runs it",
     r"dataset dexycb/": "DexYCB and MANO have licences; packages/smooth_hand_datasets/tests does",
     r"teleop --source wave": "the plugin must be installed; tests/test_plugin.py runs it",
     r"convert \S*\.mp4": "needs a video; tests/test_webcam.py has one",

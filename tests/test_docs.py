@@ -23,6 +23,7 @@ SOURCE = PROJECT / "src" / "smooth_operator"
 RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
 BENCHMARK = PROJECT / "packages" / "smooth_operator_benchmark" / "smooth_operator_benchmark"
 STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
+DATA_SETS = PROJECT / "packages" / "smooth_hand_datasets" / "smooth_hand_datasets"
 DEVICES = PROJECT / "packages" / "smooth_operator_devices" / "smooth_operator_devices"
 """Names that are no modules."""
 NO_MODULES = {
@@ -109,7 +110,7 @@ def test_what_a_page_names_exists(page):
     own = {name for name in named if name.split(".")[1] not in NO_MODULES}
     absent += [name for name in sorted(own) if not resolves(name)]
     paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
-    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, BENCHMARK, STUDY, DEVICES)
+    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, DATA_SETS, BENCHMARK, STUDY, DEVICES)
     absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
     assert absent == []
 

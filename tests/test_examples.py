@@ -18,7 +18,6 @@ MAX_LINES = 60
 PUBLIC_MODULES = (
     "smooth_operator.errors",
     "smooth_operator.landmarks",
-    "smooth_operator.datasets",
 )
 PLUGIN = sorted((PROJECT / "examples" / "plugin" / "toy_retargeting").glob("*.py"))
 INTERNAL = {"joint_ranges.py": {"smooth_operator.cli.common_options.Common"}}

@@ -25,7 +25,7 @@ BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "numpy", "rich", "scipy", "
 """Distributions that everyone gets; their modules have the same names."""
 KNOWN = sys.stdlib_module_names | BASE | {"smooth_operator"}
 
-EXTRAS = """teleop lab all arm avp cluster datasets hdf5 lerobot menagerie serial webcam webxr zmq
+EXTRAS = """teleop lab all arm avp cluster hdf5 lerobot menagerie serial webcam webxr zmq
 docs test"""
 """Names that stand in scripts."""
 AT_THE_TOP = ("teleop/arm/", "teleop/pages/", "teleop/recording/messages.py")
@@ -58,7 +58,7 @@ def test_every_extra_has_the_wing_that_it_is_part_of():
     assert sorted(extras) == sorted(EXTRAS.split())
     for extra in extras.keys() - {"teleop", "lab", "docs"}:
         included = re.findall(r"smooth-retargeting\[(.*?)\]", " ".join(extras[extra]))
-        assert {"teleop", "lab", "datasets"} & set(",".join(included).split(",")), extra
+        assert {"teleop", "lab"} & set(",".join(included).split(",")), extra
 
 
 def imported_by(node: ast.AST) -> list[str]:
@@ -98,7 +98,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     def pretend(record: object = None, *, there: bool = True) -> None:
         def distribution(name: str) -> Any:
-            assert name in ("smooth-retargeting", extras.DEVICES)
+            assert name in ("smooth-retargeting", extras.DEVICES, extras.DATA_SETS)
             if not there:
                 raise metadata.PackageNotFoundError(name)
             text = record if isinstance(record, str | None) else json.dumps(record)
@@ -138,9 +138,10 @@ def test_an_extra_is_added_to_what_is_installed(installed, monkeypatch, tmp_path
     installed({"url": (tmp_path / "removed").as_uri(), "dir_info": {}})
     assert install_command("zmq") == by_name
 
-    about = Message()
-    about["Provides-Extra"] = "orca"  # an extra of another distribution
-    monkeypatch.setattr(metadata, "metadata", {extras.DEVICES: about}.__getitem__)
+    about = {extras.DEVICES: Message(), extras.DATA_SETS: Message()}
+    about[extras.DEVICES]["Provides-Extra"] = "orca"  # an extra of another distribution
+    about[extras.DATA_SETS]["Provides-Extra"] = "objects"
+    monkeypatch.setattr(metadata, "metadata", about.__getitem__)
     devices = ROOT / "packages" / "smooth_operator_devices"
     installed({"url": devices.as_uri(), "dir_info": {"editable": True}})
     assert install_command("orca") == f'python -m pip install -e "{devices}[orca]"'
@@ -148,6 +149,7 @@ def test_an_extra_is_added_to_what_is_installed(installed, monkeypatch, tmp_path
     assert install_command("orca") == f'python -m pip install -e "./packages/{devices.name}[orca]"'
     installed(None)
     assert install_command("orca") == 'python -m pip install "smooth-operator-devices[orca]"'
+    assert install_command("objects") == 'python -m pip install "smooth-hand-datasets[objects]"'
     assert install_command("zmq") == by_name
 
 
@@ -183,8 +185,6 @@ WORK = [
 ]
 LACK = {
     "demo": "lab,teleop",
-    "dataset in.npz --output data": "datasets",
-    "dataset in.npz --format webdataset --output data": "lab",
     "dataset in.npz --cluster auto --output data": "cluster",
     "teleop": "teleop",
     "teleop --arm panda": "arm",

@@ -65,7 +65,8 @@ def test_import_initialises_no_jax_backend():
 def packages() -> dict[str, ModuleType]:
     own = (f"smooth_operator.{name}" for name in PUBLIC_PACKAGES)
     others = (f"smooth_operator_{name}" for name in ("benchmark", "study", "devices"))
-    return {name: importlib.import_module(name) for name in ("smooth_operator", *own, *others)}
+    names = ("smooth_operator", *own, "smooth_hand_datasets.pipeline", *others)
+    return {name: importlib.import_module(name) for name in names}
 
 
 def public_names() -> list[str]:

@@ -103,8 +103,8 @@ print(layout, READERS[layout].summary, len(clip), *clip.hands)
 
 import numpy as np
 from smooth_operator.types import CommandTrajectory
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
 joints = np.arange(20.0).reshape(10, 2)
 commands = CommandTrajectory(joints, ("a", "b"), clip.stamps, np.zeros(10), np.zeros(10, int))
 with WRITERS.load("csv").open(Path({str(tmp_path / "tables")!r}), WritingOptions()) as writer:

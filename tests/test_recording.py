@@ -13,7 +13,6 @@ from made_hands import hand_points
 
 from smooth_operator import read_recording
 from smooth_operator.cli import main
-from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_units, frame_slice, reading_notes
 from smooth_operator.landmarks import (
@@ -611,15 +610,6 @@ def test_every_command_recognises_data_of_a_robot(tmp_path, monkeypatch, capsys,
     said = capsys.readouterr().err
     assert f"LeRobot data set (version {version}) from the robot 'humanoid', with " in said, said
     assert "(left_arm_0, left_arm_1, ...): it contains no human hand" in said
-
-
-def test_the_data_of_a_robot_among_recordings_is_one_failure(tmp_path):
-    robot_dataset(tmp_path / "in" / "set")
-    save(tmp_path / "in" / "a.npz", {"joints": hand(), "stamps": np.arange(FRAMES) / 30.0})
-    items = find_items([str(tmp_path / "in")])
-    assert [item.name for item in items.items] == ["a"]
-    assert [refused.name for refused in items.refused] == ["set"]
-    assert items.passed_over == {}
 
 
 @pytest.mark.parametrize("form", ["npy", "npz", "npz-compressed", "manus"])

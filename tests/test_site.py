@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from processes import python
 
+import smooth_hand_datasets.pipeline
 import smooth_operator
 import smooth_operator_benchmark
 import smooth_operator_devices
@@ -77,6 +78,7 @@ def test_pages_need_no_script_for_equations_and_nothing_from_other_hosts(site):
     ("name", "package"),
     [
         ("smooth_operator", smooth_operator),
+        ("datasets", smooth_hand_datasets.pipeline),
         ("benchmark", smooth_operator_benchmark),
         ("study", smooth_operator_study),
         ("devices", smooth_operator_devices),

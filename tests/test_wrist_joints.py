@@ -19,12 +19,7 @@ from smooth_operator import (
     read_commands,
     read_recording,
 )
-from smooth_operator.datasets.request import DatasetRequest
-from smooth_operator.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
-from smooth_operator.datasets.writers.registry import WritingOptions
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
-from smooth_operator.formats.clip import Clip
 from smooth_operator.formats.episode import Episode
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_discovery.joints import check_wrist_joints
@@ -324,21 +319,6 @@ def test_the_live_page_turns_the_palm_with_the_wrist():
         np.testing.assert_allclose(poses.rotation_vectors(turned), [0.5, 0.0, 0.0], atol=1e-9)
     finally:
         server.stop()
-
-
-def test_a_data_set_has_the_wrist_joints_only_if_they_are_asked_for(shadow, tmp_path):
-    clip = Clip("take", {"right": recording(shadow.hand, np.full((10, 2), 0.1))}, "files")
-    request = DatasetRequest(
-        sources=("x",), output=tmp_path, hand="shadow_hand", method="joint_angle"
-    )
-    for choice, more in (("auto", ()), ("on", ("rh_WRJ2", "rh_WRJ1"))):
-        (result,) = retarget_clips([clip], Recipe.of(replace(request, wrist_joints=choice)))
-        names = RobotLayout.of(result, WritingOptions(), 100.0).layout()["action"]
-        joints = [name for name in names if name.startswith("right_rh_")]
-        assert len(joints) == len(shadow.hand.joint_names) + len(more)
-        assert [f"right_{name}.pos" in joints for name in ("rh_WRJ2", "rh_WRJ1")] == [
-            bool(more)
-        ] * 2
 
 
 def test_wrist_joints_and_an_arm_do_not_both_follow_the_wrist():

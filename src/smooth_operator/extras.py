@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -12,13 +13,22 @@ DISTRIBUTION: Final = "smooth-retargeting"
 DEVICES: Final = "smooth-operator-devices"
 """Name of the distribution of real hands, trackers and ROS 2, which has extras of its own."""
 
+DATA_SETS: Final = "smooth-hand-datasets"
+"""Name of the distribution that makes data sets and reads research data sets."""
+
+PART_OF_DATA_SETS: Final = (
+    f"part of the distribution {DATA_SETS}, which is not installed; in a clone of the repository, "
+    "run: python -m pip install . ./packages/smooth_hand_datasets"
+)
+"""Advice about a part of ``DATA_SETS``, for messages."""
+
 UPGRADE: Final = "git pull && python -m pip install ."
 """Commands that update this program, in a clone."""
 
 
 def install_command(extra: str) -> str:
-    """Command that installs an extra of this distribution or of ``DEVICES``: from the source folder
-    if it was installed from one, otherwise by package name."""
+    """Command that installs an extra of this distribution, of ``DEVICES`` or of ``DATA_SETS``: from
+    the source folder if it was installed from one, otherwise by package name."""
     owner = _owner(extra)
     folder, options = _installed_from(owner)
     if folder is None:
@@ -37,11 +47,11 @@ def _owner(extra: str) -> str:
     """Distribution that has an extra."""
     from importlib.metadata import PackageNotFoundError, metadata
 
-    try:
-        extras = metadata(DEVICES).get_all("Provides-Extra") or ()
-    except PackageNotFoundError:
-        return DISTRIBUTION
-    return DEVICES if extra in extras else DISTRIBUTION
+    for name in (DEVICES, DATA_SETS):
+        with suppress(PackageNotFoundError):
+            if extra in (metadata(name).get_all("Provides-Extra") or ()):
+                return name
+    return DISTRIBUTION
 
 
 @functools.cache

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
-from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.formats.environment import environment, versions
+from smooth_operator.formats.environment import environment
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.formats.registry import READERS, with_assumed_side
+from smooth_operator.formats.registry import with_assumed_side
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
@@ -21,14 +20,13 @@ from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.hands.wrist_joints import with_wrist_joints
 from smooth_operator.io.documents import read_json
 from smooth_operator.request import PinchGapChoice, Scale, parse_fingers
-from smooth_operator.result_cache import content_digest, key_digest, outside_code
+from smooth_operator.result_cache import content_digest
 from smooth_operator.retargeting.aligned_recording import calibrate_scale
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.presets import default_preset
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
-from smooth_operator.source_digest import code_digest
 from smooth_operator.types import HandRecording, Side
 
 PROGRAM: Final = "smooth-operator"
@@ -196,27 +194,6 @@ def make_request(
 def content_of(spec: HandSpec) -> tuple[HandSpec, str]:
     """Returns the description of a hand and the digest of its model, without the model's folder."""
     return replace(spec, model=Path(spec.model.name)), content_digest(spec.model)
-
-
-def code_of_commands(request: RetargetRequest, *more: str) -> str:
-    """Digest of the code and of the hands on which the commands of a request depend.
-
-    It covers this package's code from the reader of a file to the commands, the code of plugins for
-    methods and readers, the versions of the numerical libraries, and the descriptions and models of
-    both robot hands, but not their paths.
-
-    Args:
-        request: settings of the retargeting.
-        more: further files and folders of this package that the commands depend on.
-    """
-    modules = [entry.target.partition(":")[0] for entry in READERS.plugins.values()]
-    hands = []
-    sides: tuple[Side, Side] = ("right", "left")
-    for side in sides:
-        with suppress(HandModelError):  # there is no hand of this side
-            hands.append(content_of(request.load_hand(side).spec))
-    code = code_digest(*CODE_OF_COMMANDS, *more)
-    return key_digest([code, outside_code(request.config, *modules), versions(), hands])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

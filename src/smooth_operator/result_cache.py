@@ -3,7 +3,7 @@
 A result has a key, which is any JSON, and the digest of the code that computed it. The key holds
 the settings and the digest of the input, so a result is used again only if input, settings and code
 are the same. ``key_digest``, ``content_digest`` and ``code_digest`` are also the keys of the packs
-of data sets (``datasets.store``).
+of data sets, in the distribution ``smooth-hand-datasets``.
 """
 
 from __future__ import annotations

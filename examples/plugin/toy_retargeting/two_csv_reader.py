@@ -3,8 +3,8 @@
 import numpy as np
 
 from smooth_operator import HandRecording
-from smooth_operator.datasets import Clip, ClipRef, checked_hands
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats import Clip, ClipRef, checked_hands
 
 
 class TwoCsv:

@@ -18,7 +18,7 @@ from smooth_hand_datasets.mano_model import load_model
 from smooth_hand_datasets.scene import Scene, Thing, checked_count, nearby, rigid
 from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import DocumentError, RecordingError, require
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
@@ -168,6 +168,7 @@ def _texts(value: Any, where: str) -> list[str]:
 
 
 def _yaml(path: Path, needs: tuple[str, ...]) -> dict[Any, Any]:
+    require("reading DexYCB", "objects", "yaml")
     import yaml
 
     try:

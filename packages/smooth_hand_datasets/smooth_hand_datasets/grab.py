@@ -17,7 +17,7 @@ from smooth_hand_datasets.mano_model import PlacedHand, load_model
 from smooth_hand_datasets.scene import Scene, Thing, checked_count
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table, text
 from smooth_operator import poses
-from smooth_operator.errors import RecordingError, brief, reason
+from smooth_operator.errors import RecordingError, brief, reason, require
 from smooth_operator.formats.arrays import npz_arrays
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
@@ -126,6 +126,7 @@ def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
             "extract the data set's tools/subject_meshes, which contain the shapes of the hands, "
             "to that folder"
         )
+    require("reading the shape of a hand in GRAB", "objects", "trimesh")
     import trimesh
 
     size = check_plain_file(path)

@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_hand_datasets.objects.placement import landmarks_in_world
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import Grid, resampled, slug
+from smooth_hand_datasets.pipeline.writers.shards import TarShards
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import Grid, resampled, slug
-from smooth_operator.datasets.writers.shards import TarShards
-from smooth_operator.errors import RecordingError, reason
+from smooth_operator.errors import RecordingError, reason, require
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ObjectTrack
 from smooth_operator.types import Side
 
@@ -167,7 +167,9 @@ def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]
 
     Raises:
         RecordingError: it can't be read, or has no faces.
+        MissingExtraError: trimesh is not installed.
     """
+    require("reading the mesh of an object", "objects", "trimesh")
     import trimesh
 
     try:

@@ -29,11 +29,11 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_hand_datasets.keypoints import FileShards, Scene
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import unique_slug
+from smooth_hand_datasets.pipeline.writers.registry import DatasetFormat, WritingOptions
+from smooth_hand_datasets.pipeline.writers.shards import npz_bytes
 from smooth_operator import poses
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import unique_slug
-from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
-from smooth_operator.datasets.writers.shards import npz_bytes
 from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json
 

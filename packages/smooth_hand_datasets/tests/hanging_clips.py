@@ -9,7 +9,7 @@ from pathlib import Path
 
 from two_hands import Pairs
 
-from smooth_operator.datasets import work
+from smooth_hand_datasets.pipeline import work
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 
 ODD_ONE = "00"

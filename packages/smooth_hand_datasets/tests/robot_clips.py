@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.datasets.clip import RobotClip
+from smooth_hand_datasets.pipeline.clip import RobotClip
 from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 

@@ -12,9 +12,9 @@ import pytest
 from robot_clips import robot_clip
 from test_dataset_lerobot import mp4
 
+from smooth_hand_datasets.pipeline.another_hand import retarget_dataset
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
 from smooth_operator.cli import main
-from smooth_operator.datasets.another_hand import retarget_dataset
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.episode_files.lerobot import open_dataset, write_dataset
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.execution import execute

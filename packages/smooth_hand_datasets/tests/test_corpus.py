@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 from two_hands import LAYOUT, PAIRS, save_pairs
 
-from smooth_operator.datasets import writing
-from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
-from smooth_operator.datasets.sources import find_items
+from smooth_hand_datasets.pipeline import writing
+from smooth_hand_datasets.pipeline.run import DatasetRequest, make_dataset
+from smooth_hand_datasets.pipeline.sources import find_items
 from smooth_operator.formats.clip import ReadingOptions
 from smooth_operator.formats.registry import READERS
 from smooth_operator.reporter import Reporter
 
-pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[cluster]'")
 pytestmark = pytest.mark.usefixtures("compiled_once")
 CLIPS = 8
 

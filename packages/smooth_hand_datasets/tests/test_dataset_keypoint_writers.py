@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from robot_clips import robot_clip, rotation
 
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import CAMERA, ObjectTrack
 from smooth_operator.landmarks import FINGERS

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from robot_clips import JOINTS, robot_clip
 
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.lerobot import VIDEO_KEY, VideoHead, video_head
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.lerobot import VIDEO_KEY, VideoHead, video_head
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import RecordingError
 
 pytest.importorskip("pyarrow")
@@ -190,7 +190,7 @@ def test_a_one_handed_first_clip_has_the_requested_columns(tmp_path):
 
 
 def test_many_clips_are_few_files(tmp_path, monkeypatch):
-    monkeypatch.setattr("smooth_operator.datasets.writers.lerobot._Writer.most_clips", 5)
+    monkeypatch.setattr("smooth_hand_datasets.pipeline.writers.lerobot._Writer.most_clips", 5)
     write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(12)])
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
     assert len(files) == 6 + 3 * 3  # three shards: frames, episodes, index

@@ -16,19 +16,25 @@ import numpy as np
 import pytest
 from two_hands import LAYOUT, PAIRS, Counting, save_pair
 
+import smooth_hand_datasets.pipeline.run as pipeline
+from smooth_hand_datasets.commands.dataset import _print
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.quality import (
+    REACHED,
+    Dropped,
+    hand_length,
+    quality_tracks,
+    select,
+)
+from smooth_hand_datasets.pipeline.request import Limits
+from smooth_hand_datasets.pipeline.retargeting import Recipe, retarget_clips
+from smooth_hand_datasets.pipeline.run import DatasetRequest, make_dataset
+from smooth_hand_datasets.pipeline.sources import find_items, is_manifest, parse_shard
+from smooth_hand_datasets.pipeline.store import Store
+from smooth_hand_datasets.pipeline.writing import Summary
 from smooth_operator import load_hand, plugins, poses, result_cache
 from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.cli import main
-from smooth_operator.cli.dataset import _print
-from smooth_operator.datasets import pipeline
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
-from smooth_operator.datasets.quality import REACHED, Dropped, hand_length, quality_tracks, select
-from smooth_operator.datasets.request import Limits
-from smooth_operator.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.datasets.sources import find_items, is_manifest, parse_shard
-from smooth_operator.datasets.store import Store
-from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions, in_frame
 from smooth_operator.formats.registry import READERS
@@ -42,8 +48,6 @@ from smooth_operator.retargeting.batching import BatchRetargeter
 from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory
-
-pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
 CONFIG = method_config("joint_angle")  # the quickest to compile
 ASKED = RetargetRequest(
@@ -61,7 +65,7 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 @pytest.fixture(autouse=True)
 def _without_plots(whole, monkeypatch) -> None:
     """Drawing takes longer than all else; the first run has drawn."""
-    monkeypatch.setattr("smooth_operator.datasets.writing._histograms", lambda *_: None)
+    monkeypatch.setattr("smooth_hand_datasets.pipeline.writing._histograms", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -178,11 +182,12 @@ def test_episodes_are_cut_at_frames_without_a_hand(whole):
 
 
 RUN = """
+import os
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-import smooth_operator.datasets.pipeline as pipeline
+sys.path[:0] = sys.argv[1].split(os.pathsep)
+import smooth_hand_datasets.pipeline.run as pipeline
 from smooth_operator.reporter import Reporter
 from test_dataset_pipeline import make, request
 pipeline._FEW_ITEMS = 1
@@ -199,9 +204,9 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("smooth_operator.datasets.pipeline._FEW_ITEMS", 1)
+    monkeypatch.setattr("smooth_hand_datasets.pipeline.run._FEW_ITEMS", 1)
     output = tmp_path / "out"
-    words = [sys.executable, "-c", RUN, str(Path(__file__).parent), str(folder), str(output)]
+    words = [sys.executable, "-c", RUN, os.pathsep.join(sys.path), str(folder), str(output)]
     with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline()  # one pack is there, and then
         process.kill()
@@ -706,7 +711,7 @@ def test_a_change_of_the_code_replaces_clips_and_data_set(copy, monkeypatch):
 
     assert again() == (len(FRAMES), False)
     with monkeypatch.context() as writers:
-        writers.setattr("smooth_operator.datasets.writing.code_digest", lambda *_: "other")
+        writers.setattr("smooth_hand_datasets.pipeline.writing.code_digest", lambda *_: "other")
         assert again() == (len(FRAMES), True)
         assert again() == (len(FRAMES), False)
     assert again() == (len(FRAMES), True)

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from robot_clips import JOINTS, robot_clip
 
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import drift, resampled
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import drift, resampled
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 
 ALL = ["webdataset", "parquet", "lerobot", "spider"]

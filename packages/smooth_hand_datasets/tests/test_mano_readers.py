@@ -13,8 +13,8 @@ import pytest
 from hostile_datasets import read_soundly
 from hypothesis import strategies as st
 
+from smooth_hand_datasets.pipeline.sources import find_items
 from smooth_operator import poses
-from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.clip import CAMERA, Clip, ReadingOptions
 from smooth_operator.formats.registry import READERS

@@ -32,12 +32,12 @@ from smooth_hand_datasets.objects.signed_distance import (
     signed_distance,
 )
 from smooth_hand_datasets.objects.terms import ObjectCosts, ObjectSettings, object_frames
+from smooth_hand_datasets.pipeline.clip import robot_part
+from smooth_hand_datasets.pipeline.quality import quality_figures
+from smooth_hand_datasets.pipeline.retargeting import Recipe, retarget_clips, whole_config
+from smooth_hand_datasets.pipeline.sources import find_items
+from smooth_hand_datasets.pipeline.work import read_item
 from smooth_operator import AlignmentConfig, HandRecording, load_hand, method_config, poses
-from smooth_operator.datasets.clip import robot_part
-from smooth_operator.datasets.quality import quality_figures
-from smooth_operator.datasets.retargeting import Recipe, retarget_clips, whole_config
-from smooth_operator.datasets.sources import find_items
-from smooth_operator.datasets.work import read_item
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.metrics.accuracy import cosine_similarity

@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 from two_hands import Counting
 
+import smooth_hand_datasets.pipeline.run as pipeline
+from smooth_hand_datasets.pipeline.request import MirrorRequest
+from smooth_hand_datasets.pipeline.run import make_dataset
+from smooth_hand_datasets.pipeline.sources import find_items
+from smooth_hand_datasets.pipeline.work import Job, Results
+from smooth_hand_datasets.pipeline.writing import Summary
 from smooth_operator import read_commands, read_recording
 from smooth_operator.atomic_files import claimed
-from smooth_operator.datasets import pipeline
-from smooth_operator.datasets.pipeline import make_dataset
-from smooth_operator.datasets.request import MirrorRequest
-from smooth_operator.datasets.sources import find_items
-from smooth_operator.datasets.work import Job, Results
-from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.execution import checked
 from smooth_operator.planning import RetargetRequest, make_request

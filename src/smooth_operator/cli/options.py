@@ -23,7 +23,6 @@ from tyro.conf import Suppress, arg
 from smooth_operator.cli.calibrate import Calibrate
 from smooth_operator.cli.common_options import Common, Group, described
 from smooth_operator.cli.convert import Convert
-from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor import Doctor
 from smooth_operator.cli.edit import Edit
@@ -35,7 +34,7 @@ from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.view import View
 from smooth_operator.errors import ConfigError, UnknownNameError, did_you_mean
-from smooth_operator.extras import DEVICES
+from smooth_operator.extras import DEVICES, PART_OF_DATA_SETS
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.teleop.components import devices_command
 
@@ -202,7 +201,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator retarget glove.npz --output out.npz
       convert a recording to joint commands, and print quality checks
   smooth-operator dataset egodex/ --hand leap_hand --output out
-      convert recordings to a data set of robot episodes, filtered by quality
+      convert recordings to a data set of robot episodes (packages/smooth_hand_datasets)
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       drive a hand live from a tracker, with motion limits and a live page
   smooth-operator edit take.mcap --keep 1.5:8 --output short.mcap
@@ -237,7 +236,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "demo": Demo,
     "sample": Sample,
     "retarget": Retarget,
-    "dataset": Dataset,
     "teleop": Teleop,
     "latency": Latency,
     "edit": Edit,
@@ -276,7 +274,8 @@ it."""
 COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
-    elsewhere={
+    elsewhere={"dataset": PART_OF_DATA_SETS}
+    | {
         name: f"part of {owner}, which is not installed; in a clone of the repository, run: {line}"
         for name, (owner, line) in _DISTRIBUTIONS.items()
     },

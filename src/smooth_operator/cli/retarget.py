@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 from tyro.conf import Positional, arg
 
@@ -17,7 +17,9 @@ from smooth_operator.cli.common_options import (
     Ordered,
     Retargeting,
 )
-from smooth_operator.errors import ConfigError, OutputError
+from smooth_operator.errors import ConfigError
+from smooth_operator.extras import PART_OF_DATA_SETS
+from smooth_operator.plugins import Registry
 from smooth_operator.request import WristJointChoice
 
 if TYPE_CHECKING:
@@ -97,6 +99,13 @@ Examples:
     """Print only one JSON object on standard output: the metrics, or for a folder its report."""
 
 
+COLLECTIONS: Final = Registry(
+    "retargeting", {}, elsewhere=dict.fromkeys(("folder", "dataset"), PART_OF_DATA_SETS)
+)
+"""Functions that retarget a folder of recordings, or a LeRobot data set, from the options and the
+folder or name of the source."""
+
+
 def retarget(options: Retarget) -> None:
     """Reads, retargets, measures and writes a recording, after a check of all options."""
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
@@ -112,12 +121,12 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.wrist_following import add_wrist_commands
 
     if options.dataset is not None:
-        retarget_lerobot(options, options.dataset)
+        COLLECTIONS.load("dataset")(options, options.dataset)
         return
     if options.recording is None:
         raise ConfigError("name a RECORDING or a FOLDER of recordings, or give --dataset")
     if options.recording.is_dir():
-        retarget_folder(options, options.recording)
+        COLLECTIONS.load("folder")(options, options.recording)
         return
     for name in ("workers", "cluster"):
         if getattr(options, name) is not None:
@@ -126,7 +135,7 @@ def retarget(options: Retarget) -> None:
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording, options.overwrite)
-    request = _request(options)
+    request = request_from(options)
     recording = request.read_recording(options.recording, options.rate)
     for note in reading_notes(recording, str(options.recording)):
         progress.note(note, matters=True)
@@ -170,7 +179,8 @@ def retarget(options: Retarget) -> None:
     print_summary(title, todo.method, metrics, [f"{look} all figures"])
 
 
-def _request(options: Retarget) -> RetargetRequest:
+def request_from(options: Retarget) -> RetargetRequest:
+    """Makes the request of the options; raises as ``make_request`` does."""
     from smooth_operator.planning import make_request
 
     return make_request(
@@ -180,64 +190,4 @@ def _request(options: Retarget) -> RetargetRequest:
         layout=options.layout,
         frames=options.frames,
         wrist_joints=options.wrist_joints != "off",
-    )
-
-
-def retarget_lerobot(options: Retarget, name: str) -> None:
-    """Derives the actions of another robot hand for a LeRobot data set.
-
-    Raises:
-        SmoothOperatorError: the data set can't be retargeted.
-    """
-    from smooth_operator.cli.console import Progressing
-    from smooth_operator.cli.outputs import folder_for
-    from smooth_operator.datasets.another_hand import find_dataset, retarget_dataset
-    from smooth_operator.execution import checked
-    from smooth_operator.io.jsonable import to_json
-    from smooth_operator.retargeting.start import start_jax
-
-    unused = ("recording", "frames", "rate", "layout", "workers", "cluster")
-    for option in unused:
-        if getattr(options, option) is not None:
-            raise ConfigError(f"{option} can't be used with --dataset; leave it out")
-    source, progress = find_dataset(name), Progressing(options.quiet)
-    request = _request(options)
-    start_jax(one_thread=False)
-    with folder_for(options.output.resolve().parent):
-        provenance = retarget_dataset(
-            source, options.output, checked(request), videos=options.videos, reporter=progress
-        )
-    progress.note(f"wrote {options.output}")
-    if options.json:
-        print(to_json(provenance))
-
-
-def retarget_folder(options: Retarget, folder: Path) -> None:
-    """Retargets the recordings of a folder that are not done yet.
-
-    Raises:
-        SmoothOperatorError: the folder can't be retargeted; finished results stay.
-        SystemExit: 1, if a recording failed.
-    """
-    from smooth_operator.cli.dataset import make_shown
-    from smooth_operator.datasets.request import MirrorRequest
-    from smooth_operator.formats.registry import file_kind, is_dataset
-
-    output = options.output
-    if is_dataset(folder):
-        file_kind(folder)  # raises an error that names the command for a data set
-    if output.suffix == ".npz" and not output.is_dir():
-        raise OutputError(
-            f"can't write {str(output)!r}: {folder} is a folder of recordings, so the results need "
-            "a folder too; name a folder with --output"
-        )
-    request = _request(options)
-    make_shown(
-        MirrorRequest(
-            sources=(str(folder),), output=output, workers=options.workers, cluster=options.cluster
-        ),
-        resolved=request,
-        again=options.overwrite,
-        quiet=options.quiet,
-        json=options.json,
     )

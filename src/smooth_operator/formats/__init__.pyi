@@ -1,4 +1,9 @@
+from smooth_operator.formats.both_hands import checked_hands as checked_hands
+from smooth_operator.formats.clip import Clip as Clip
+from smooth_operator.formats.clip import ClipRef as ClipRef
+from smooth_operator.formats.clip import ReadingOptions as ReadingOptions
 from smooth_operator.formats.commands import read_commands as read_commands
 from smooth_operator.formats.commands import write_commands as write_commands
 from smooth_operator.formats.readers import read_recording as read_recording
+from smooth_operator.formats.registry import READERS as READERS
 from smooth_operator.formats.registry import Reader as Reader

@@ -18,6 +18,7 @@ from smooth_operator.errors import (
     SmoothOperatorError,
     listed,
 )
+from smooth_operator.extras import PART_OF_DATA_SETS
 from smooth_operator.formats.arrays import PICKLE_REMEDY
 from smooth_operator.formats.both_hands import checked_hands, on_common_stamps, one_hand
 from smooth_operator.formats.checks import (
@@ -43,13 +44,6 @@ _FORMATS: Final = "smooth_operator.formats"
 _EPISODES: Final = "smooth_operator.episode_files"
 _HEADSETS: Final = "smooth_operator.headsets.recordings"
 _RECORDING: Final = "smooth_operator.teleop.recording"
-
-RESEARCH_PACKAGE: Final = (
-    "part of the distribution smooth-hand-datasets (research data sets of hands and objects), "
-    "which is not installed; in a clone of the repository: python -m pip install "
-    "./packages/smooth_hand_datasets"
-)
-"""Advice on the package that contains the research data sets, for messages."""
 
 RESEARCH_LAYOUTS: Final = (
     *("arctic", "dexycb", "dynhamr", "egohandkit", "grab", "hawor", "ho3d", "hot3d", "mano"),
@@ -366,7 +360,7 @@ READERS: Final = Registry(
         ),
     },
     needs=("what", "expects", "matches", "clips", "read"),
-    elsewhere=dict.fromkeys(RESEARCH_LAYOUTS, RESEARCH_PACKAGE),
+    elsewhere=dict.fromkeys(RESEARCH_LAYOUTS, PART_OF_DATA_SETS),
 )
 """Name -> ``ClipReader``, such as a ``Reader``, open to plugins as ``smooth_operator.readers``.
 ``--layout`` takes one of these names."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from smooth_hand_datasets.commands.options import Dataset
+from smooth_hand_datasets.pipeline.request import DatasetRequest
+from smooth_hand_datasets.pipeline.run import make_dataset
+from smooth_hand_datasets.pipeline.writing import Summary
 from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.datasets.pipeline import make_dataset
-from smooth_operator.datasets.request import DatasetRequest
-from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import counted
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.planning import RetargetRequest

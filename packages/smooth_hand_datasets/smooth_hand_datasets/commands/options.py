@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from smooth_hand_datasets.pipeline.request import DatasetRequest
 from smooth_operator.cli.common_options import RARE, Common, Quiet
-from smooth_operator.datasets.request import DatasetRequest
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset(Common, Quiet, DatasetRequest):
     """Turn recordings of human hands into a data set of robot episodes."""
 
-    work: ClassVar[str] = "smooth_operator.cli.dataset:dataset"
+    work: ClassVar[str] = "smooth_hand_datasets.commands.dataset:dataset"
     details: ClassVar[str] = """A SOURCE is a folder (with all subfolders), a file, some frames of a
 file (take.npz@100:500), a pattern in quotes, a list of paths (.txt: one path per line; .csv
 or .jsonl: path and optionally task, side, layout and rate), or an address of object storage
-(s3://, gs://, ...; needs the datasets extra). The layout of each file is detected; --layout
+(s3://, gs://, ...). The layout of each file is detected; --layout
 sets it.
 
 Both hands of a clip are retargeted. An episode has the joints and wrist poses of both robot
@@ -36,8 +36,7 @@ Formats:
   parquet      Parquet files, one row per clip
   npz          command files like those that retarget writes, one per hand
   spider, flashdex
-               input files of SPIDER and FlashDexRetarget (first: pip install
-               ./packages/smooth_hand_datasets)
+               input files of SPIDER and FlashDexRetarget
 
 Examples:
   smooth-operator dataset egodex/ --hand leap_hand --output out
@@ -80,19 +79,5 @@ request is invalid, 130 stopped."""
     """Print the report as one JSON object on standard output."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """Extras that the report, the output format, remote addresses and the cluster need.
-
-        A later extra includes the earlier ones.
-        """
-        libraries = ["jinja2", "matplotlib"]
-        extra = "lab"
-        if self.format in ("lerobot", "parquet"):
-            extra = "datasets"
-            libraries.append("pyarrow")
-        if any("://" in source for source in self.sources):
-            extra = "datasets"
-            libraries.append("fsspec")
-        if self.cluster is not None:
-            extra = "cluster"
-            libraries.append("ray")
-        return {extra: tuple(libraries)}
+        """The extra that a cluster needs."""
+        return {} if self.cluster is None else {"cluster": ("ray",)}

@@ -31,8 +31,8 @@ from smooth_hand_datasets.objects.terms import (
     ObjectSettings,
     object_frames,
 )
+from smooth_hand_datasets.pipeline.retargeting import whole_config
 from smooth_operator import poses
-from smooth_operator.datasets.retargeting import whole_config
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import Clip
 from smooth_operator.hands.hand import Hand, fingerprint

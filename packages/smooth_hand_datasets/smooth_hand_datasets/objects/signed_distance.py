@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import RecordingError, reason
+from smooth_operator.errors import RecordingError, reason, require
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 
 CELLS: Final = 64
@@ -262,6 +262,7 @@ def read_solid(path: Path, scale: float = 1.0) -> Solid:
 @lru_cache(maxsize=64)
 def _read_solid(path: Path, scale: float, changed: int, size: int) -> Solid:
     del changed, size  # part of the cache's key: a file that is written again is read again
+    require("reading the mesh of an object", "objects", "igl", "trimesh")
     import trimesh
 
     try:

@@ -1,9 +1,4 @@
-from smooth_operator.datasets.pipeline import make_dataset as make_dataset
-from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
-from smooth_operator.datasets.request import Limits as Limits
-from smooth_operator.datasets.retargeting import Recipe as Recipe
-from smooth_operator.formats.both_hands import checked_hands as checked_hands
-from smooth_operator.formats.clip import Clip as Clip
-from smooth_operator.formats.clip import ClipRef as ClipRef
-from smooth_operator.formats.clip import ReadingOptions as ReadingOptions
-from smooth_operator.formats.registry import READERS as READERS
+from smooth_hand_datasets.pipeline.request import DatasetRequest as DatasetRequest
+from smooth_hand_datasets.pipeline.request import Limits as Limits
+from smooth_hand_datasets.pipeline.retargeting import Recipe as Recipe
+from smooth_hand_datasets.pipeline.run import make_dataset as make_dataset

@@ -24,11 +24,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.retargeting import Recipe, retarget_clips
+from smooth_hand_datasets.pipeline.writers.lerobot import place
+from smooth_hand_datasets.pipeline.writers.lerobot_columns import sided
 from smooth_operator.atomic_files import write_json
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.datasets.writers.lerobot import place
-from smooth_operator.datasets.writers.lerobot_columns import sided
 from smooth_operator.episode_files.lerobot.columns import ROBOT_TYPE
 from smooth_operator.episode_files.lerobot.human import human_sides
 from smooth_operator.episode_files.lerobot.reader import (

@@ -9,9 +9,9 @@ from typing import Final, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float
 
+from smooth_hand_datasets.pipeline.clip import RobotClip, robot_part
+from smooth_hand_datasets.pipeline.request import Limits
 from smooth_operator import poses
-from smooth_operator.datasets.clip import RobotClip, robot_part
-from smooth_operator.datasets.request import Limits
 from smooth_operator.formats.checks import finger_motion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths

@@ -130,7 +130,7 @@ class DatasetRequest(Limits, MethodRequest):
     with_objects: bool = False
     """In clips that have an object's pose and mesh, make the robot's fingertips touch the object
     where the human's do, without penetrating it. Works on whole recordings only: add
-    --preset offline. Needs packages/smooth_hand_datasets."""
+    --preset offline. Needs the extra objects of packages/smooth_hand_datasets."""
 
     no_limits: bool = False
     """Keep every clip without cutting it; the limits have no effect."""

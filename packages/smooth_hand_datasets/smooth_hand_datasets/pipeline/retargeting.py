@@ -6,26 +6,24 @@ import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.quality import Tracks, quality_tracks
-from smooth_operator.datasets.request import DatasetRequest
-from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.code import code_of_clips
+from smooth_hand_datasets.pipeline.quality import Tracks, quality_tracks
+from smooth_hand_datasets.pipeline.request import DatasetRequest
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError, require
 from smooth_operator.execution import answers, built_for, checked, execute
 from smooth_operator.formats.clip import SIDES, Clip, Frame, ReadingOptions, in_frame, with_side
-from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.hands.registry import default_side
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.planning import (
     PROGRAM,
     Plan,
     RetargetRequest,
-    code_of_commands,
     make_request,
     plan,
 )
@@ -43,12 +41,6 @@ _OBJECT_AWARE: Final = Entry("smooth_hand_datasets.objects.retargeter:object_awa
 Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (T,)) and
 ``T_world_wrist`` (T, 7).
 """
-
-_CODE: Final = tuple(
-    f"datasets/{name}" for name in ("clip.py", "quality.py", "retargeting.py", "store.py")
-)
-"""Files and folders of this package that a retargeted clip depends on, in addition to the code that
-computes commands."""
 
 
 def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
@@ -91,7 +83,7 @@ class Recipe:
             for the readers. If a side is given, only that hand of a clip is retargeted.
         frame: frame of wrists and objects; None for each clip's own.
         with_objects: keep the contacts of the human's fingertips with objects, in clips with the
-            wrist's pose and an object's mesh; needs ``smooth_hand_datasets``.
+            wrist's pose and an object's mesh; needs the extra ``objects``.
         device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
         mano: as in ``ReadingOptions``.
         objects: as in ``ReadingOptions``.
@@ -99,9 +91,9 @@ class Recipe:
             computes for a file; many together give slightly different ones.
 
     Raises:
-        ConfigError: ``with_objects`` is set, but the configuration solves frame by frame or
-            ``smooth_hand_datasets`` is missing; or a GPU is requested for settings that retarget
-            clips one by one.
+        ConfigError: ``with_objects`` is set, but the configuration solves frame by frame; or a GPU
+            is requested for settings that retarget clips one by one.
+        MissingExtraError: ``with_objects`` is set, and the extra ``objects`` is not installed.
     """
 
     request: RetargetRequest
@@ -145,16 +137,15 @@ class Recipe:
                 "scale, are retargeted one by one: use --device cpu for them"
             )
         if self.with_objects:
-            if find_spec("smooth_hand_datasets") is None:
-                raise ConfigError(f"retargeting with objects is {RESEARCH_PACKAGE}")
+            require("retargeting with objects", "objects", "igl", "trimesh")
             whole_config(self.request.config)
 
     @functools.cached_property
     def digest(self) -> str:
-        """Digest of the recipe, the code and both robot hands; see ``code_of_commands``."""
+        """Digest of the recipe, the code and both robot hands; see ``code_of_clips``."""
         mano = self.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
-        code = code_of_commands(self.request, *_CODE)
+        code = code_of_clips(self.request)
         # Frames are of an item, and a rate is for the items that need it.
         request = replace(self.request, frames=None, rate=None)
         parts = [code, request, self.frame]

@@ -1,6 +1,6 @@
 """Makes data sets of robot hands from data sets of human hands: reads, retargets, filters, writes.
 
-    from smooth_operator.datasets import DatasetRequest, make_dataset
+    from smooth_hand_datasets.pipeline import DatasetRequest, make_dataset
 
     request = DatasetRequest(sources=("egodex/",), output=Path("out"), hand="leap_hand")
     summary = make_dataset(request)
@@ -21,15 +21,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_hand_datasets.pipeline.request import DatasetRequest as DatasetRequest
+from smooth_hand_datasets.pipeline.retargeting import Recipe, SourceFile
+from smooth_hand_datasets.pipeline.sources import Item, find_items, in_shard, parse_shard
+from smooth_hand_datasets.pipeline.store import ReadClip, Result, Results, Store
+from smooth_hand_datasets.pipeline.work import Job, do_job, finish_job, read_job, unchanged
+from smooth_hand_datasets.pipeline.writers.npz import refused
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
+from smooth_hand_datasets.pipeline.writing import REPORT, Order, Summary, hand_in, write_episodes
 from smooth_operator.atomic_files import claimed, remove_leftovers
-from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
-from smooth_operator.datasets.retargeting import Recipe, SourceFile
-from smooth_operator.datasets.sources import Item, find_items, in_shard, parse_shard
-from smooth_operator.datasets.store import ReadClip, Result, Results, Store
-from smooth_operator.datasets.work import Job, do_job, finish_job, read_job, unchanged
-from smooth_operator.datasets.writers.npz import refused
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.datasets.writing import REPORT, Order, Summary, hand_in, write_episodes
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
 from smooth_operator.execution import request_notes
 from smooth_operator.formats.foreign import foreign_suffix

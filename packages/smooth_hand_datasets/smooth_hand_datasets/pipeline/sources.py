@@ -19,20 +19,15 @@ from urllib.parse import unquote, urlsplit
 from smooth_operator.errors import (
     ConfigError,
     DocumentError,
-    MissingExtraError,
     RecordingError,
     SmoothOperatorError,
     brief,
     reason,
-    require,
 )
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.clip import ClipRef
 from smooth_operator.formats.foreign import foreign_dataset, foreign_file, is_dataset
 from smooth_operator.formats.registry import (
-    READERS,
-    RESEARCH_LAYOUTS,
-    RESEARCH_PACKAGE,
     ClipReader,
     clip_readers,
     file_kind,
@@ -45,7 +40,6 @@ from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side, as_side
 
-EXTRA: Final = "datasets"
 _DATES: Final = ("ETag", "etag", "md5Hash", "content_md5", "LastModified", "last_modified")
 _MORE_DATES: Final = ("updated", "mtime", "created")
 """Names of fields that object storages use for the time at which a file changed."""
@@ -72,8 +66,8 @@ def list_remote(address: str) -> Iterator[Item]:
         and a mark that changes with each write, empty if the storage does not have one.
 
     Raises:
-        MissingExtraError: fsspec, or its library for this storage, is not installed.
-        RecordingError: the address can't be listed, or there are no files.
+        RecordingError: the address can't be listed, there are no files, or fsspec's library for
+            this storage is not installed.
     """
     system, path = _system(address)
     root = path.rstrip("/")
@@ -100,7 +94,7 @@ def fetched(address: str) -> Iterator[Path]:
     """Copies a file to this machine for the duration of the block.
 
     Raises:
-        MissingExtraError, RecordingError: as ``list_remote``.
+        RecordingError: as ``list_remote``.
     """
     system, path = _system(address)
     with tempfile.TemporaryDirectory(prefix="smooth-operator-") as folder:
@@ -111,7 +105,6 @@ def fetched(address: str) -> Iterator[Path]:
 
 
 def _system(address: str) -> tuple[Any, str]:
-    require(f"reading {address}", EXTRA, "fsspec")
     import fsspec
 
     scheme = urlsplit(address).scheme
@@ -131,7 +124,7 @@ def _about(address: str) -> Iterator[None]:
     """Converts errors of a storage to errors that name the address."""
     try:
         yield
-    except (RecordingError, MissingExtraError):
+    except RecordingError:
         raise
     except FileNotFoundError as error:
         raise RecordingError(f"{address}: there is no such file or folder") from error
@@ -347,8 +340,8 @@ def find_items(
 
     Raises:
         UnknownNameError: there is no such reader.
-        RecordingError: a source does not exist.
-        MissingExtraError: an address needs a library that is not installed.
+        RecordingError: a source does not exist, or an address needs a library that is not
+            installed.
     """
     items: list[Item] = []
     refused: list[Refused] = []
@@ -518,15 +511,13 @@ def _unknown(path: Path, layout: str | None) -> str:
     if layout is not None:
         reader = find_reader(layout)
         return f"this is not {reader.what}; expected {reader.expects}"
-    missing = [name for name in RESEARCH_LAYOUTS if name not in READERS]
-    more = f"; {', '.join(missing)}: {RESEARCH_PACKAGE}" if missing else ""
     try:
         file_kind(path)  # names the kind, and the way from it
     except RecordingError as error:
         kind = str(error).removeprefix(f"{path}: ")
         if not kind.startswith("not a recording"):
-            return kind + (more if "pickle" in kind else "")
-    return f"no reader recognises this file; known layouts: {', '.join(clip_readers())}{more}"
+            return kind
+    return f"no reader recognises this file; known layouts: {', '.join(clip_readers())}"
 
 
 def _name(path: Path, root: Path) -> str:

@@ -16,10 +16,10 @@ from typing import Any, BinaryIO, Final, TypeAlias, cast
 
 import numpy as np
 
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.retargeting import SourceFile, shared_config
+from smooth_hand_datasets.pipeline.sources import Item
 from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.retargeting import SourceFile, shared_config
-from smooth_operator.datasets.sources import Item
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.io.documents import parse_json

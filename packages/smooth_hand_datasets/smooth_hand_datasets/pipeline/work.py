@@ -1,5 +1,5 @@
 """Jobs for worker processes, which read clips, retarget them and write them to a pack (a file of
-retargeted clips; see ``datasets/store``)."""
+retargeted clips; see ``store``)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from pathlib import Path
 
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
-from smooth_operator.datasets.sources import Item, fetched
-from smooth_operator.datasets.store import ReadClip, Results, write_pack
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.retargeting import Recipe, SourceFile, clip_key, retarget_clips
+from smooth_hand_datasets.pipeline.sources import Item, fetched
+from smooth_hand_datasets.pipeline.store import ReadClip, Results, write_pack
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.clip import RATE, Clip, ClipRef, clip_part, with_side

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.code import code_of_files
+from smooth_hand_datasets.pipeline.quality import FIGURES, RULES, Dropped, select, worst
+from smooth_hand_datasets.pipeline.request import DATASET, DatasetRequest, Limits
+from smooth_hand_datasets.pipeline.store import Result, Store
+from smooth_hand_datasets.pipeline.writers.registry import WRITERS, WritingOptions
 from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.quality import FIGURES, RULES, Dropped, select, worst
-from smooth_operator.datasets.request import DATASET, DatasetRequest, Limits
-from smooth_operator.datasets.store import Result, Store
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.clip import NOTES, SIDES
 from smooth_operator.io.documents import read_json
@@ -29,20 +30,12 @@ from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import PROGRAM, RetargetRequest
 from smooth_operator.reporter import Reporter
 from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
-from smooth_operator.result_cache import key_digest, outside_code
-from smooth_operator.source_digest import code_digest
+from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
 from smooth_operator.version import package_version
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_CODE: Final = (
-    *(f"datasets/{name}" for name in ("clip.py", "quality.py", "writers", "writing.py")),
-    *("episode_files", "formats"),
-)
-"""Files and folders of this package on which the files of a data set depend, in addition to its
-clips."""
 
 _PERCENTILES: Final = (1, 5, 50, 95, 99)
 _LIMIT_OF: Final = {rule.figure: rule.limit for rule in RULES}
@@ -105,7 +98,7 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
     except ImportError:
         drawn = None
     plot = Plots(output / "plots").element(drawn, "quality", "Quality metrics of the episodes")
-    template = templates("smooth_operator.datasets").get_template("report.html.j2")
+    template = templates("smooth_hand_datasets.pipeline").get_template("report.html.j2")
     macros: Any = template.make_module(
         {
             **content,
@@ -250,8 +243,7 @@ class Order:
         the data set."""
         content = [(name, pack.key) for name, pack in self.items]
         request = self.request
-        writer = WRITERS[request.format].target.partition(":")[0]
-        code = [code_digest(*_CODE), outside_code(writer)]
+        code = code_of_files(WRITERS[request.format].target)
         return key_digest([code, request.limits, request.format, self.writing, content])
 
 

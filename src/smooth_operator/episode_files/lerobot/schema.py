@@ -3,8 +3,8 @@ and units.
 
 A data set has some of the columns in ``COLUMNS``, in the order of its ``Layout``, and the columns
 ``INDICES``, which all LeRobot data sets have. ``columns`` makes those of ``convert`` and of the
-robot ``smooth_hand``, ``smooth_operator.datasets.writers.lerobot_columns`` those of ``dataset``;
-the columns of the human hands are the same in all of them, see ``human``.
+robot ``smooth_hand``, the distribution ``smooth-hand-datasets`` those of ``dataset``; the columns
+of the human hands are the same in all of them, see ``human``.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from smooth_hand_datasets.pipeline.clip import RobotClip
 from smooth_operator import poses
-from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.episode_files.lerobot.tables import PAUSE
 from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json

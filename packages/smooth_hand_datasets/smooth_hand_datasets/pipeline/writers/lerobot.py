@@ -29,18 +29,18 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from smooth_operator.atomic_files import atomic_write
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import clip_document, drift, resampled
-from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
-from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
-from smooth_operator.datasets.writers.shards import (
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import clip_document, drift, resampled
+from smooth_hand_datasets.pipeline.writers.lerobot_columns import RobotLayout
+from smooth_hand_datasets.pipeline.writers.registry import DatasetFormat, WritingOptions
+from smooth_hand_datasets.pipeline.writers.shards import (
     ShardedWriter,
     drop_parquet,
     hidden,
     publish,
     remove,
 )
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.episode_files.lerobot.schema import dataset_features, index_columns
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
@@ -65,7 +65,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     tasks_table,
     write_description,
 )
-from smooth_operator.errors import RecordingError, reason, require
+from smooth_operator.errors import RecordingError, reason
 from smooth_operator.io.jsonable import to_json
 
 VIDEO_KEY: Final = "observation.images.camera"
@@ -227,8 +227,6 @@ def place(source: Path, target: Path, how: str) -> None:
             temporary.symlink_to(real)
     os.replace(temporary, target)
 
-
-require("a LeRobot data set", "datasets", "pyarrow")
 
 _OFF_GRID: Final = 0.25  # frames
 _UNITS: Final = {

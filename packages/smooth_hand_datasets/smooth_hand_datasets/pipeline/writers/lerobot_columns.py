@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import clip_valid
+from smooth_hand_datasets.pipeline.writers.registry import WritingOptions
 from smooth_operator import poses
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import clip_valid
-from smooth_operator.datasets.writers.registry import WritingOptions
 from smooth_operator.episode_files.lerobot.human import human_columns, human_layout
 from smooth_operator.episode_files.lerobot.schema import (
     POSE_NAMES,

@@ -13,11 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.sources import Item
+from smooth_hand_datasets.pipeline.writers.arrays import resampled
+from smooth_hand_datasets.pipeline.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.atomic_files import output_error
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.sources import Item
-from smooth_operator.datasets.writers.arrays import resampled
-from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.commands import config_path, encode_commands, write_encoded_commands
 from smooth_operator.io.jsonable import to_json

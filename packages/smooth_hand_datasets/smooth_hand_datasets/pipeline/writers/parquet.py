@@ -13,17 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import clip_arrays, clip_document, resampled
-from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
-from smooth_operator.datasets.writers.shards import MB, ShardedWriter, drop_parquet
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import clip_arrays, clip_document, resampled
+from smooth_hand_datasets.pipeline.writers.registry import DatasetFormat, WritingOptions
+from smooth_hand_datasets.pipeline.writers.shards import MB, ShardedWriter, drop_parquet
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
-from smooth_operator.errors import require
 from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import Side
-
-require("a Parquet data set", "datasets", "pyarrow")
 
 _GROUP_BYTES: Final = 8 * MB  # of arrays in a row group: what a reader takes at a time
 _FIXED: Final = {"wrist": 7, "human_wrist": 7, "camera": 7, "landmarks": 63}

@@ -8,11 +8,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import Side
-
-_WRITERS: Final = "smooth_operator.datasets.writers"
 
 
 @dataclass(frozen=True)
@@ -77,18 +74,22 @@ class DatasetFormat:
     shortest: int = 2
 
 
+_WRITERS: Final = "smooth_hand_datasets.pipeline.writers"
+
 WRITERS: Final = Registry(
     "writer",
     {
-        name: Entry(f"{_WRITERS}.{where}", what)
-        for name, where, what in (
-            ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
-            ("webdataset", "shards:WEBDATASET", "tar shards, one sample per clip"),
-            ("parquet", "parquet:PARQUET", "Parquet files, one row per clip"),
-            ("npz", "npz:NPZ", "command files like those that retarget writes"),
-        )
+        "lerobot": Entry(
+            f"{_WRITERS}.lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"
+        ),
+        "webdataset": Entry(f"{_WRITERS}.shards:WEBDATASET", "tar shards, one sample per clip"),
+        "parquet": Entry(f"{_WRITERS}.parquet:PARQUET", "Parquet files, one row per clip"),
+        "npz": Entry(f"{_WRITERS}.npz:NPZ", "command files like those that retarget writes"),
+        "spider": Entry("smooth_hand_datasets.spider:SPIDER", "input files of SPIDER"),
+        "flashdex": Entry(
+            "smooth_hand_datasets.flashdex:FLASHDEX", "input files of FlashDexRetarget"
+        ),
     },
     needs=("what", "open"),
-    elsewhere=dict.fromkeys(("flashdex", "spider"), RESEARCH_PACKAGE),
 )
 """Name -> ``DatasetFormat``. Plugins can add formats as ``smooth_operator.writers``."""

@@ -11,8 +11,8 @@ A shard is written under a hidden name and renamed when it is full. A killed pro
 leaves complete shards; the next process removes files without an index and continues there.
 
 A WebDataset consists of tar files with samples: ``KEY.json`` and ``KEY.npz`` for each clip, with
-the arrays of ``smooth_operator.datasets.writers.arrays``. The headers contain no time, owner or
-process, so that the same clips give the same bytes.
+the arrays of ``pipeline.writers.arrays``. The headers contain no time, owner or process, so that
+the same clips give the same bytes.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from typing import IO, Any, Final, Self
 
 import numpy as np
 
-from smooth_operator.atomic_files import atomic_write, output_error, write_json
-from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.writers.arrays import (
+from smooth_hand_datasets.pipeline.clip import RobotClip
+from smooth_hand_datasets.pipeline.writers.arrays import (
     clip_arrays,
     clip_document,
     clip_key,
     resampled,
     unique_slug,
 )
-from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
+from smooth_hand_datasets.pipeline.writers.registry import DatasetFormat, WritingOptions
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.io.jsonable import to_json

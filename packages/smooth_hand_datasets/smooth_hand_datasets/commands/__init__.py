@@ -1,0 +1,1 @@
+"""The command ``smooth-operator dataset``, and ``retarget`` for folders and data sets."""
