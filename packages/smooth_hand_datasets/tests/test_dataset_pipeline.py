@@ -711,18 +711,23 @@ def test_a_change_of_the_code_replaces_clips_and_data_set(copy, monkeypatch):
 
     assert again() == (len(FRAMES), False)
     with monkeypatch.context() as writers:
-        writers.setattr("smooth_hand_datasets.pipeline.writing.code_digest", lambda *_: "other")
+        writers.setattr("smooth_hand_datasets.pipeline.writing.code_of_files", lambda _: ["other"])
         assert again() == (len(FRAMES), True)
         assert again() == (len(FRAMES), False)
     assert again() == (len(FRAMES), True)
     parts: list[str] = []
+
+    def digest(*names: str, **_: Any) -> str:
+        parts.extend(names)
+        return "b"
+
     with monkeypatch.context() as commands:
-        commands.setattr("smooth_operator.planning.code_digest", lambda *p: parts.extend(p) or "b")
+        commands.setattr("smooth_hand_datasets.pipeline.code.code_digest", digest)
         assert again() == (0, True)
         assert again() == (len(FRAMES), False)
     assert again() == (len(FRAMES), True)
     assert contents(output) == before
-    assert {"retargeting", "hands", "formats", "io"} <= {*parts}
+    assert {"retargeting", "hands", "formats", "io", "mano.py", "pipeline/store.py"} <= {*parts}
 
 
 def test_keys_of_clips_hold_the_code_and_the_readers_of_plugins(monkeypatch, tmp_path):
@@ -735,7 +740,7 @@ def test_keys_of_clips_hold_the_code_and_the_readers_of_plugins(monkeypatch, tmp
     module.write_text("READER = 1\n")
     result_cache._package_digest.cache_clear()
     digests.append(Recipe(RECIPE.request).digest)
-    monkeypatch.setattr("smooth_operator.planning.code_digest", lambda *_: "other")
+    monkeypatch.setattr("smooth_hand_datasets.pipeline.code.code_digest", lambda *_, **__: "other")
     digests.append(Recipe(RECIPE.request).digest)
     assert len(set(digests)) == 4
 
