@@ -34,9 +34,6 @@ _CODE_OF_FILES: Final = (
 """Files and folders of this package that the files of a data set depend on, in addition to its
 clips."""
 
-_LIBRARY: Final = ("episode_files", "formats")
-"""Folders of ``smooth_operator`` that they depend on."""
-
 _NO_READERS: Final = frozenset(("pipeline", "commands", "__pycache__", "py.typed"))
 
 
@@ -67,7 +64,7 @@ def code_of_files(writer: str) -> list[str]:
     """
     own = code_digest(*_CODE_OF_FILES, home=HOME)
     plugin = outside_code(*filter(_other, [_module(writer)]))
-    return [own, code_digest(*_LIBRARY), *plugin]
+    return [own, code_digest("episode_files", "formats"), *plugin]
 
 
 def _module(target: str) -> str:
