@@ -21,7 +21,6 @@ from smooth_operator.extras import install_command
 from smooth_operator.parallel import (
     PersistentPool,
     TaskResult,
-    run_groups,
     run_tasks,
     usable_cores,
 )
@@ -317,26 +316,6 @@ def test_ray_is_the_pool(tmp_path):
 
 def on_ray(task: Any) -> Any:
     return die_at_first(task) if isinstance(task, Path) else misbehave(task)
-
-
-def total(group: tuple[Any, ...]) -> int:
-    if "die" in group:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return len(group)
-
-
-@needs_signals
-def test_a_group_at_which_workers_die_is_split():
-    groups = [("a", "b"), ("c", "die", "d"), ("e",)]
-    results = run_groups(total, groups, lambda g: [(part,) for part in g], workers=2, retries=0)
-    values = {group: (result.value, (result.error or "")[:10]) for group, result in results}
-    assert values == {
-        ("a", "b"): (2, ""),
-        ("e",): (1, ""),
-        ("c",): (1, ""),
-        ("die",): (None, "WorkerDied"),
-        ("d",): (1, ""),
-    }
 
 
 def whoami(task: object) -> tuple[int, object]:

@@ -33,7 +33,6 @@ from typing import Any, Final, Generic, TypeVar
 
 from smooth_operator.errors import ConfigError, WorkerError
 from smooth_operator.parallel.tasks import (
-    DIED,
     TaskResult,
     death,
     describe,
@@ -99,34 +98,6 @@ def run_tasks(
     from smooth_operator.parallel.cluster import run_on_cluster
 
     return run_on_cluster(function, tasks, cluster, workers=workers, retries=retries)
-
-
-def run_groups(
-    function: Callable[[T], R],
-    groups: Sequence[T],
-    split: Callable[[T], Sequence[T]],
-    *,
-    workers: int | None = None,
-    cluster: str | None = None,
-    retries: int = 2,
-) -> Generator[tuple[T, TaskResult[R]]]:
-    """Runs groups of work like ``run_tasks``. If the workers of a group die, splits the group into
-    parts.
-
-    The parts run one by one. Yields groups, or parts of them, each with its result."""
-    parts: list[T] = []
-    options: dict[str, Any] = {"workers": workers, "cluster": cluster, "retries": retries}
-    with contextlib.closing(run_tasks(function, groups, **options)) as results:
-        for result in results:
-            group = groups[result.index]
-            lost = (result.error or "").startswith((DIED, MemoryError.__name__))
-            if lost and len(alone := split(group)) > 1:
-                parts += alone
-            else:
-                yield group, result
-    if parts:
-        with contextlib.closing(run_tasks(function, parts, **options)) as results:
-            yield from ((parts[result.index], result) for result in results)
 
 
 def usable_cores() -> int:

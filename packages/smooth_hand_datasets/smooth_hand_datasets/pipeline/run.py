@@ -21,6 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_hand_datasets.pipeline.groups import run_groups
 from smooth_hand_datasets.pipeline.request import DatasetRequest as DatasetRequest
 from smooth_hand_datasets.pipeline.retargeting import Recipe, SourceFile
 from smooth_hand_datasets.pipeline.sources import Item, find_items, in_shard, parse_shard
@@ -33,7 +34,7 @@ from smooth_operator.atomic_files import claimed, remove_leftovers
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
 from smooth_operator.execution import request_notes
 from smooth_operator.formats.foreign import foreign_suffix
-from smooth_operator.parallel import run_groups, usable_cores
+from smooth_operator.parallel import usable_cores
 from smooth_operator.planning import RetargetRequest, read_configuration
 from smooth_operator.reporter import Reporter
 
