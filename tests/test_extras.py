@@ -25,7 +25,7 @@ BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "numpy", "rich", "scipy", "
 """Distributions that everyone gets; their modules have the same names."""
 KNOWN = sys.stdlib_module_names | BASE | {"smooth_operator"}
 
-EXTRAS = """teleop lab all arm avp cluster hdf5 lerobot menagerie serial webcam webxr zmq
+EXTRAS = """teleop training all arm avp cluster hdf5 lerobot menagerie serial webcam webxr zmq
 docs test"""
 """Names that stand in scripts."""
 AT_THE_TOP = ("teleop/arm/", "teleop/pages/", "teleop/recording/messages.py")
@@ -56,9 +56,9 @@ def test_the_lock_is_resolved_from_all_extras():
 def test_every_extra_has_the_wing_that_it_is_part_of():
     extras = PROJECT["optional-dependencies"]
     assert sorted(extras) == sorted(EXTRAS.split())
-    for extra in extras.keys() - {"teleop", "lab", "docs"}:
+    for extra in extras.keys() - {"teleop", "training", "cluster", "docs"}:
         included = re.findall(r"smooth-retargeting\[(.*?)\]", " ".join(extras[extra]))
-        assert {"teleop", "lab"} & set(",".join(included).split(",")), extra
+        assert "teleop" in ",".join(included).split(","), extra
 
 
 def imported_by(node: ast.AST) -> list[str]:
@@ -184,7 +184,7 @@ WORK = [
     "teleop --no-view --method joint_angle --duration 0.3 --quiet",
 ]
 LACK = {
-    "demo": "lab,teleop",
+    "demo": "teleop",
     "dataset in.npz --cluster auto --output data": "cluster",
     "teleop": "teleop",
     "teleop --arm panda": "arm",
@@ -197,8 +197,8 @@ LACK = {
     "hands show leap_hand": "teleop",
     "hands render leap_hand": "teleop",
     "convert in.npz --output x.h5": "hdf5",
-    "calibrate in.npz --output operator.json": "lab",
-    "train geort in.npz --output trained": "lab",
+    "calibrate in.npz --output operator.json": "teleop",
+    "train geort in.npz --output trained": "training",
 }
 MODULES = {
     "smooth_operator.teleop.pages.player": "teleop",
@@ -206,8 +206,7 @@ MODULES = {
     "smooth_operator.teleop.recording.log": "teleop",
     "smooth_operator.teleop.recording.log_reader": "teleop",
     "smooth_operator.teleop.sinks.record": "teleop",
-    "smooth_operator.baselines.geort.training": "lab",
-    "smooth_operator.reporting.drawing": "lab",
+    "smooth_operator.reporting.drawing": "teleop",
 }
 
 

@@ -45,8 +45,8 @@ Examples:
     """Do not serve the page, for machines without a browser."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """Extras that the metrics, the log and the page need."""
-        return {"lab": ("jinja2", "matplotlib"), "teleop": ("mcap", "viser")}
+        """The extra that the plots, the log and the page need."""
+        return {"teleop": ("matplotlib", "mcap", "viser")}
 
 
 def demo(options: Demo) -> None:

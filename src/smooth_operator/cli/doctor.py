@@ -101,7 +101,7 @@ _OPENCV: Final = tuple(
     for part in ("python", "python-headless", "contrib-python", "contrib-python-headless")
 )
 """Distributions that install into one folder, ``cv2``, and overwrite each other there."""
-_WINGS: Final = ("teleop", "lab")
+_EXTRAS: Final = ("teleop", "training")
 
 
 def environment() -> dict[str, Any]:
@@ -123,7 +123,7 @@ def environment() -> dict[str, Any]:
         "python": platform.python_version(),
         **{name: _version(name) for name in (DISTRIBUTION, *_LIBRARIES)},
         "opencv": ", ".join(f"{n} {_version(n)}" for n in _OPENCV if _version(n)) or None,
-        "extras": ", ".join(wing for wing in _WINGS if not _missing(wing)) or None,
+        "extras": ", ".join(extra for extra in _EXTRAS if not _missing(extra)) or None,
         "device": jax.default_backend(),
         "programs": f"not kept: {reason}" if store is None else str(store.folder),
         "programs_kept": len(sizes),

@@ -25,7 +25,7 @@ class Train(Ordered, Common, Quiet):
     """Train a learning-based method (geort) for a robot hand."""
 
     work: ClassVar[str] = "smooth_operator.cli.train:train"
-    details: ClassVar[str] = """Needs the lab extra. Writes to DIR: model.npz (the model),
+    details: ClassVar[str] = """Needs the training extra. Writes to DIR: model.npz (the model),
 model.json (how it was trained), losses.csv and checkpoint.npz. Ctrl-C keeps all of them; the same
 command with --resume continues and gives the same bytes as an uninterrupted training.
 
@@ -76,6 +76,10 @@ Examples:
 
     resume: bool = False
     """Continue a training in DIR that was started with the same recording and options."""
+
+    def extras(self) -> dict[str, tuple[str, ...]]:
+        """The extra that the optimiser of the network needs."""
+        return {"training": ("optax",)}
 
 
 SYNTHETIC: Final = "synthetic"

@@ -363,7 +363,7 @@ def _corner(past: np.ndarray) -> float:
 
 
 def _mesh_distance(model: mujoco.MjModel, mesh: int, p: np.ndarray) -> float:
-    require("the shape of a mesh", "lab", "trimesh")
+    require("the shape of a mesh", "teleop", "trimesh")
     import trimesh
 
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])

@@ -513,7 +513,7 @@ def urdf_mesh_points(
 
 
 def _vertices(path: Path) -> np.ndarray | None:
-    require("the shape of a mesh", "lab", "trimesh")
+    require("the shape of a mesh", "teleop", "trimesh")
     import trimesh
 
     try:

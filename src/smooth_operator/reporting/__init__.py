@@ -1,5 +1,5 @@
-"""Common figures and HTML of the reports. Needs the extra ``lab``."""
+"""Common figures and HTML of the reports. Needs the extra ``teleop``."""
 
 from smooth_operator.errors import require
 
-require("a report with figures", "lab", "matplotlib")
+require("a report with figures", "teleop", "matplotlib")

@@ -14,7 +14,7 @@ from smooth_operator.errors import require
 from smooth_operator.landmarks import FINGER_COLORS, FINGERS
 from smooth_operator.types import HandRecording
 
-require("the picture of a calibration", "lab", "matplotlib")
+require("the picture of a calibration", "teleop", "matplotlib")
 
 _COLORS: Final = dict(zip(FINGERS, FINGER_COLORS, strict=True))
 _SEEN_MM: Final = 120.0

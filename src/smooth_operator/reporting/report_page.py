@@ -84,7 +84,7 @@ Section = tuple[str, str, Html]
 def templates(package: str) -> Environment:
     """Loads the Jinja2 templates in the folder of a package; inserted values are escaped. Raises
     MissingExtraError if Jinja2 is not installed."""
-    require("a report", "lab", "jinja2")
+    require("a report", "teleop", "jinja2")
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(

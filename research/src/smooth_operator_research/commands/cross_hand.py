@@ -5,7 +5,7 @@ from __future__ import annotations
 from smooth_operator.atomic_files import atomic_write, claimed
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.errors import ConfigError, require
+from smooth_operator.errors import ConfigError
 from smooth_operator.reporting.drawing import styled
 from smooth_operator.retargeting.start import start_jax
 from smooth_operator_benchmark.command import SOME_FAILED, comma_words
@@ -74,7 +74,6 @@ def report(options: ReportMatrix) -> None:
         with atomic_write(options.docs) as file:
             file.write(text.encode())
     if options.plots is not None:
-        require("the plot", "lab", "matplotlib")
         with folder_for(options.plots), styled():
             plot_success(outcomes).savefig(options.plots / PLOT)
 

@@ -11,7 +11,6 @@ from rich.text import Text
 from smooth_operator.atomic_files import claimed
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.errors import require
 from smooth_operator.retargeting.start import start_jax
 from smooth_operator_benchmark.cells import only_side
 from smooth_operator_benchmark.command import SOME_FAILED, comma_words
@@ -47,8 +46,6 @@ _WIDTH_OF_INTERVALS: Final = 120
 
 def physics(options: Physics) -> None:
     """Runs the measures, writes and prints the results."""
-    if not options.no_report:
-        require("the report (use --no-report to skip it)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     start_jax()  # before planning, which may do so
     hands = comma_words(options.hands)
