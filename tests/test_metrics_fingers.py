@@ -9,7 +9,6 @@ from smooth_operator.landmarks import FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.types import CommandTrajectory
-from smooth_operator_benchmark.quality import PER_FINGER, finger_metrics
 
 THREE = ("thumb", "index", "middle")
 FOUR = ("thumb", "index", "middle", "ring")
@@ -108,17 +107,3 @@ def test_a_hand_that_does_what_the_human_does_is_perfect(name, fingers, side):
     assert None not in result["workspace_utilisation_per_finger"].values()
     assert None not in result["self_collision"].values()
     assert evaluate(trace, "paper")["human_fit"] == "robot pose"
-
-
-@pytest.mark.parametrize(("name", "fingers"), HANDS)
-def test_figures_finger_by_finger(name, fingers):
-    hand = load_hand(name, fingers=fingers)
-    trace = played_back(hand, off=0.1)
-    table = finger_metrics(trace, evaluate(trace))
-    assert tuple(table) == hand.fingers
-    wrong = [finger for finger, row in table.items() if row["tip_error_mm"] > 1]
-    assert len(wrong) == 1  # the last joint moves one finger
-    for finger, row in table.items():
-        assert set(row) == {metric.name for metric in PER_FINGER}
-        assert (row["reach_cosine"] < 1 - 1e-7) == (finger in wrong), (finger, row)
-        assert (row["thumb_cosine"] is None) == (finger == "thumb")

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from metrics_cases import make_trace
 
-from smooth_operator import HandRecording, plugins, read_recording, result_cache
+from smooth_operator import HandRecording, plugins, read_recording
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import (
     ConfigError,
@@ -41,12 +40,7 @@ from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SINKS, SOURCES, build_component
-from smooth_operator_benchmark.cells import (
-    Cell,
-    Settings,
-    fingerprint,
-    select_methods,
-)
+from smooth_operator_benchmark.cells import select_methods
 from smooth_operator_benchmark.ranking import columns
 
 OWN = SbrConfig(settle_rounds=3)
@@ -302,27 +296,3 @@ def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch):
     ]:
         with pytest.raises(error, match=re.escape(says)):
             add_metrics([target])
-
-
-def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(monkeypatch, tmp_path):
-    file = tmp_path / "own_method.py"
-    file.write_text(
-        "from dataclasses import dataclass\n"
-        "from smooth_operator.retargeting.sbr.method import SbrConfig\n"
-        "@dataclass(frozen=True)\n"
-        "class OwnConfig(SbrConfig):\n    pass\n"
-        "CONFIG = OwnConfig()\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    source: Any = SimpleNamespace(side="right", digest="frames")
-    settings = Settings(output=tmp_path, methods=("own_method:CONFIG",))
-    own, built_in = (
-        Cell(source, "mimic_p050", "x", "default", config)
-        for config in (method_config("own_method:CONFIG"), SbrConfig())
-    )
-    before = fingerprint(own, settings), fingerprint(built_in, settings)
-    file.write_text(file.read_text() + "# another\n")
-    result_cache._package_digest.cache_clear()
-    after = fingerprint(own, settings), fingerprint(built_in, settings)
-    assert after[0] != before[0]
-    assert after[1] == before[1]

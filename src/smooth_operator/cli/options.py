@@ -211,7 +211,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
       write recording and commands to one file in another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
-      compare methods: a table and an HTML report (packages/smooth_operator_benchmark)
+      compare methods: a table, results.json, an HTML report (packages/smooth_operator_benchmark)
   smooth-operator calibrate glove.npz --output operator.json
       measure the gaps that a tracker reports when thumb and finger touch, and write them to a file
   smooth-operator train geort glove.npz --output my-geort
