@@ -16,7 +16,6 @@ from smooth_operator.result_cache import (
     code_digest,
     compute_results,
     find_results,
-    longest_first,
 )
 
 
@@ -132,18 +131,18 @@ def test_only_missing_jobs_are_computed_and_failures_are_tried_again(tmp_path):
 
     def run(numbers: list[int]) -> dict[int, JobResult[int]]:
         finished, missing = find_results(jobs(numbers), cache)
-        fresh = compute_results(longest_first(missing), cache, execute)
+        fresh = compute_results(missing[::-1], cache, execute)
         return {r.job.task: r for r in (*finished, *fresh)}
 
     first = run([1, 2, 3])
-    assert begun == [3, 2, 1]  # the longest first
+    assert begun == [3, 2, 1]  # in the given order
     assert first[3].error == "ValueError: three"
     assert first[2].value == 4
     begun.clear()
     second = run([1, 2, 3, 4])
     assert begun == [4, 3]
     assert second[2].value == 4
-    stopped = compute_results(longest_first(jobs([7, 8])), cache, execute)
+    stopped = compute_results(jobs([8, 7]), cache, execute)
     assert next(stopped).job.task == 8
     stopped.close()
     kept = ResultCache(tmp_path)

@@ -255,12 +255,6 @@ def find_results(
     return finished, missing
 
 
-def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
-    """Sorts jobs by decreasing effort, so that no worker starts a long one when the others have
-    finished."""
-    return sorted(jobs, key=lambda job: -job.effort)
-
-
 def compute_results(
     jobs: Sequence[Job[T]],
     cache: ResultStore,

@@ -37,7 +37,6 @@ from smooth_operator.result_cache import (
     ResultCache,
     compute_results,
     find_results,
-    longest_first,
     no_note,
 )
 from smooth_operator.types import CommandTrajectory
@@ -255,6 +254,12 @@ def _measure_quality(
             else:
                 measured[cell.key] = result.value
             advance(label=cell.label, reason=reasons.get(cell.key))
+
+
+def longest_first(jobs: Iterable[Job[Cell]]) -> list[Job[Cell]]:
+    """Sorts jobs by decreasing effort, so that no worker starts a long one when the others have
+    finished."""
+    return sorted(jobs, key=lambda job: -job.effort)
 
 
 def _to_keep(job: Job[Cell], result: TaskResult[Measured]) -> Measured | None:

@@ -1,4 +1,4 @@
-"""Metrics of single fingers, and what makes a stored cell stale."""
+"""Metrics of single fingers, the order of cells, and what makes a stored cell stale."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +12,7 @@ from smooth_operator.retargeting.preset_files import method_config
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator_benchmark.cells import Cell, Settings, fingerprint
 from smooth_operator_benchmark.quality import PER_FINGER, finger_metrics
+from smooth_operator_benchmark.suite import longest_first
 
 
 @pytest.mark.parametrize(("name", "fingers"), HANDS)
@@ -26,6 +27,11 @@ def test_figures_finger_by_finger(name, fingers):
         assert set(row) == {metric.name for metric in PER_FINGER}
         assert (row["reach_cosine"] < 1 - 1e-7) == (finger in wrong), (finger, row)
         assert (row["thumb_cosine"] is None) == (finger == "thumb")
+
+
+def test_long_recordings_come_first():
+    jobs: list[Any] = [SimpleNamespace(effort=frames) for frames in (2, 5, 3)]
+    assert [job.effort for job in longest_first(jobs)] == [5, 3, 2]
 
 
 def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(monkeypatch, tmp_path):
