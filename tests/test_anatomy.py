@@ -203,7 +203,7 @@ def test_bones_that_change_their_lengths_are_no_hand(operator):
     found = doubt(points, "right")
     assert "do not form a hand" in found.what
     known = np.ones((200, 21), bool)
-    with pytest.raises(RecordingError, match="its bones also change") as caught:
+    with pytest.raises(RecordingError, match="bone lengths also change") as caught:
         check_units(points / 0.3048, known, "here")
     assert "multiply" not in str(caught.value)
     with pytest.raises(RecordingError, match=r"feet \(multiply by 0\.3048\)"):

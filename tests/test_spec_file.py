@@ -141,7 +141,7 @@ def test_a_file_from_windows(tmp_path):
         ('name = "pincer"', 'name = "../x"', "can't be named '../x'"),
         ('name = "pincer"', "name = 3", "name: expected a string, not 3"),
         ('palm = "palm"', 'plam = "palm"', r"plam: no such entry. Did you mean 'palm'\?"),
-        ('palm = "palm"', 'palm = ""', "palm: expected a string, not an empty one"),
+        ('palm = "palm"', 'palm = ""', "palm: expected a string that is not empty"),
         ('palm = "palm"', "", "palm: is missing; expected a string"),
         ('model = "models/pincer.xml"', "", "model: is missing"),
         ("offset = [0.01, -0.02, -0.03]", "offset = [0.01, -0.02]", r"wrist.offset: expected \[x"),

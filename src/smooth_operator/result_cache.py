@@ -107,8 +107,8 @@ class ResultStore(ABC):
         """Stores a result under a name; OutputError if it can't be written."""
 
     def note_outdated(self) -> None:
-        """Reports how many results, since the last call, another version of the code had
-        computed."""
+        """Reports how many of the results used since the last call were computed by another
+        version of the code."""
         if self._outdated:
             results = "1 result" if self._outdated == 1 else f"{self._outdated} results"
             self.note(

@@ -59,8 +59,8 @@ Examples:
     measures where the tracker is mounted on the glove."""
 
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
-    """File to write. If the file has an earlier calibration of the same kind, that is replaced;
-    others are kept."""
+    """File to write. An earlier calibration of the same kind in this file is replaced; other
+    calibrations are kept."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording, or right for a live source."""

@@ -223,7 +223,7 @@ def open_arrays(path: Path) -> StoredArrays:
 
 
 def npz_arrays(path: Path) -> Mapping[str, StoredArray]:
-    """Returns the arrays of an ``.npz`` file; none if it is another file, or can't be read."""
+    """Returns the arrays of an ``.npz`` file. The mapping is empty for another or a broken file."""
     try:
         return open_arrays(path) if path.suffix.lower() == ".npz" and path.is_file() else {}
     except RecordingError:

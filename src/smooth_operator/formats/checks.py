@@ -122,7 +122,7 @@ def check_units(
     whole = landmarks[valid.all(axis=1)]
     if of_a_picture(whole):
         raise RecordingError(f"{where}: {OF_A_PICTURE.what}; {OF_A_PICTURE.mend}")
-    hint = _length_hint(palm) if keeps_lengths(whole) else "the lengths of its bones also change"
+    hint = _length_hint(palm) if keeps_lengths(whole) else "the hand's bone lengths also change"
     raise RecordingError(
         f"{where}: the median distance from the wrist to the middle finger's MCP is {palm:.4g}, "
         f"but in metres it is {low} to {high}; {hint}"

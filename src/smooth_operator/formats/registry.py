@@ -428,7 +428,7 @@ def recording_suffixes() -> tuple[str, ...]:
 
 def named_as_recording(path: Path) -> bool:
     """True if a file has the suffix of a recording. A table must also have the header of a
-    recording, since most tables beside recordings have other data."""
+    recording, because most tables in a folder of recordings contain other data."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         return any(reader.matches(path) for reader in _recording_formats().values())

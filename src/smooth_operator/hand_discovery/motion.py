@@ -304,7 +304,7 @@ def find_thumb(
             f"its base is {behind * length * 1e3:.0f} mm behind the bases of the others"
         )
     if named:
-        evidence.append("its names match (weak evidence)")
+        evidence.append("the names in the model say so, too (weak evidence)")
     if labels.count("thumb") == 1 and not named:
         evidence.append("although the names say that another finger is the thumb")
         margin -= 0.2
@@ -464,7 +464,7 @@ def find_layout(
         if side_said is None and side_given is None and len(ranked) > 1:
             across = bases @ lateral
             side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"
-            evidence[-1] = f"{side}, if the names of its fingers are right"
+            evidence[-1] = f"{side}, assuming that the finger names in the model are correct"
     names, how_sure, why = _names([labels[i] for i in ranked])
     return Layout(
         forward=forward,

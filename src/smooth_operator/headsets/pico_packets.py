@@ -100,8 +100,9 @@ def read_packet(data: bytes, axes: Axes = "openxr") -> tuple[HandFrame, ...]:
     size = _size(data) if data else None
     if size is None or size != len(data):
         raise RecordingError(
-            "a packet must begin with 0x3F and end with 0xA5 after its length, not "
-            f"{data[:8]!r} ({len(data)} bytes); is another program sending to this port?"
+            "a packet must begin with 0x3F, be as long as its header states, and end with 0xA5; "
+            f"this one has {len(data)} bytes and begins with {data[:8]!r}. Is another program "
+            "sending to this port?"
         )
     if data[1] != FUNCTION:
         return ()

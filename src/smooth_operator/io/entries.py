@@ -71,7 +71,7 @@ class Entries:
         if not lines and not value.isprintable():
             raise self.error(name, f"expected a string on one line, not {brief(value)}")
         if not empty and not value:
-            raise self.error(name, "expected a string, not an empty one")
+            raise self.error(name, "expected a string that is not empty")
         return value
 
     def choice(self, name: str, options: Sequence[_T], default: _T | None = None) -> _T:

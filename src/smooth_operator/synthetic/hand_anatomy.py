@@ -204,7 +204,7 @@ _THUMB_PRONATION = np.deg2rad(17.0)
 
 @dataclass(frozen=True, eq=False)
 class HandPoses:
-    """Poses of one hand over a batch of T.
+    """A batch of T poses of one hand.
 
     Attributes:
         landmarks: (T, 21, 3) landmarks [m].

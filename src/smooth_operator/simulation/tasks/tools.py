@@ -33,8 +33,8 @@ HAMMER: Final = Task(
     title="Hammer",
     instruction="Take the hammer, drive the nail in, and keep the hammer in the hand.",
     rubric=(
-        RubricLine("done", 1.0, "nail in by 40 mm, and the hammer held for half a second then"),
-        RubricLine("partly", 0.5, "nail in by 15 mm, or in and the hammer lost"),
+        RubricLine("done", 1.0, "nail driven in by 40 mm, then the hammer held for half a second"),
+        RubricLine("partly", 0.5, "nail driven in by at least 15 mm"),
         *COMMON_ENDS,
     ),
 )

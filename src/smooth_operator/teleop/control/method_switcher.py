@@ -84,7 +84,7 @@ class MethodSwitcher:
         self._thread.start()
 
     def configuration(self) -> dict[str, Any]:
-        """Settings that may have changed since the start of the run, for a recording."""
+        """Settings to write into a recording; they may have changed since the start of the run."""
         used = self.used
         return {
             "method": used.method,
