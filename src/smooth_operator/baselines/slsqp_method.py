@@ -241,8 +241,8 @@ class SlsqpMethod(Method):
 
     @cached_property
     def needs(self) -> tuple[int, ...]:
-        """Indices of the landmarks of the vectors, and of the joint-angle map if the search starts
-        from it."""
+        """Indices of the landmarks that the vectors use, and of those that the joint-angle map uses
+        if the search starts from it."""
         angles = () if self.joint_angles is None else self.joint_angles.needs
         return tuple(sorted({*self.objective.layout.landmarks, *angles}))
 

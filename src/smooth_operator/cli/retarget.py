@@ -35,12 +35,12 @@ class Retarget(Common, Ordered, Retargeting, Measured):
 timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration is
 written with it, as OUT.json.
 
-A folder and --dataset need packages/smooth_hand_datasets. For a folder, all recordings (including
-subfolders) are retargeted, several in parallel. The output folder has the same structure. Its
-report.json lists the counts and the failures; its episodes.jsonl has one line per recording, with
-quality metrics. Latency is not measured for a folder, so latency_ms is NaN. Run the same command
-again to continue after a stop, or to add new recordings: finished results are kept, unless their
-recording, settings, robot hand or this program's code have changed.
+To retarget a folder or with --dataset, install packages/smooth_hand_datasets. For a folder, all
+recordings (including subfolders) are retargeted, several in parallel. The output folder has the
+same structure. Its report.json lists the counts and the failures; its episodes.jsonl has one line
+per recording, with quality metrics. Latency is not measured for a folder, so latency_ms is NaN. Run
+the same command again to continue after a stop, or to add new recordings: finished results are
+kept, unless their recording, settings, robot hand or this program's code have changed.
 
 Exit status: 0 done, 1 some recordings of the folder failed (the others are done), 2 the
 request is invalid, 130 stopped.
@@ -180,7 +180,7 @@ def retarget(options: Retarget) -> None:
 
 
 def request_from(options: Retarget) -> RetargetRequest:
-    """Makes the request of the options; raises as ``make_request`` does."""
+    """Builds the request from the options; raises the same errors as ``make_request``."""
     from smooth_operator.planning import make_request
 
     return make_request(

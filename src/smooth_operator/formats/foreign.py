@@ -71,7 +71,7 @@ _LEVELS: Final = 4  # from a file of a LeRobot data set up to its folder
 
 
 def foreign_file(path: Path) -> str | None:
-    """Names the kind of a file of another program, with advice; None if it is unknown.
+    """Says what kind of file another program wrote, with advice; None if the kind is unknown.
 
     Args:
         path: a regular file.

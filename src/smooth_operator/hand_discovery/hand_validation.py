@@ -425,7 +425,7 @@ def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
         )
     return "warning", (
         "the method reproduces the hand's own poses inaccurately: check the palm frame, and "
-        "whether other joint positions reach the same tips"
+        "check whether other joint positions give the same fingertip positions"
     )
 
 

@@ -460,7 +460,9 @@ def find_layout(
         # Names decide what the shape leaves open.
         ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
         ordered = 0.6
-        reasons[1:] = ["only names tell which end is which (weak evidence)"]
+        reasons[1:] = [
+            "only the fingers' names tell at which end the index finger is (weak evidence)"
+        ]
         if side_said is None and side_given is None and len(ranked) > 1:
             across = bases @ lateral
             side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"

@@ -231,7 +231,7 @@ class HandSpec:
         if len(set(self.align)) < 3:
             raise HandModelError(
                 f"hand {self.name!r}: align needs three different landmarks to fix a rotation, not "
-                f"{self.align}; name fingers of {names} or 'wrist'"
+                f"{self.align}; choose three of {names} and 'wrist'"
             )
         torques = self.torque if isinstance(self.torque, Mapping) else {"all": self.torque}
         for joint, torque in torques.items():

@@ -281,7 +281,7 @@ METRICS: Final[tuple[Metric, ...]] = (
            "grasping", lambda t: pinches.touching_share(_pinch_distances(t)), short="touch"),
     Metric("pinch_deep_share", "", "down", "share of pinches that overlap by over 2 mm",
            "grasping", lambda t: pinches.deep_share(_pinch_distances(t)), short="deep"),
-    Metric("pinch_touch_share_per_finger", "", "up", "share of pinches that touch, per finger",
+    Metric("pinch_touch_share_per_finger", "", "up", "pinch_touch_share for each finger",
            "grasping", _touching_by_finger),
     Metric("self_collision.share", "", "down", "share of frames with an overlap over 2 mm",
            "grasping", _of(_self_collision, "share"), short="collision"),

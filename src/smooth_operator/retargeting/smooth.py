@@ -207,7 +207,7 @@ class Smooth(Method):
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
-        """(F - 1,) True for fingers latched to the thumb; None if the policy has no latches."""
+        """(F - 1,) True for fingers latched to the thumb; None if the targets have no latches."""
         return self.config.objective.targets.latched(state.targets)
 
     def pinch_gaps(self, state: SmoothState) -> Float[Array, " P"]:

@@ -435,7 +435,7 @@ class _Run:
         begin = time.perf_counter()
         ending.quit = loop.controls.quit
         where = ", ".join(sink.label for sink in runner.health()) or "no sink"
-        reporter.note(f"from {source.label} to {where}")
+        reporter.note(f"commands from {source.label} go to {where}")
         with (
             contextlib.closing(switcher),
             low_jitter(),

@@ -82,7 +82,7 @@ class RelocateScorer:
         return Assessment(0.0, NOT_DONE, place if self.held else "not held by the hand alone")
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
         distance = float(np.linalg.norm(state.position - self.scene.target))
         held = held_by_hand(state)
         size = self.scene.scale

@@ -65,7 +65,7 @@ class Scorer(Protocol):
         """Score of the trial if it ended now."""
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
 
 
 def held_since(since: float | None, meets: bool, time: float) -> float | None:
@@ -152,7 +152,7 @@ class CardScorer:
         return Assessment(0.0, NOT_DONE, "over the edge" if self.over else "on the table")
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
         corners = state.position + _CORNERS @ rotation(state.quaternion).T
         near = float(corners[:, 0].min())
         lies = state.support > 0.0
@@ -234,7 +234,7 @@ class CubeScorer:
         return Assessment(0.0, NOT_DONE, f"{degrees}, flipped" if self.flipped else degrees)
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
         now = rotation(state.quaternion)
         start = rotation(self.scene.start[1])
         upright = float((now @ start.T)[2, 2])
@@ -323,7 +323,7 @@ class ScrewdriverScorer:
         return Assessment(0.0, NOT_DONE, degrees)
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
         blade = rotation(state.quaternion)[:, 2]
         angle = float(np.arctan2(np.hypot(blade[0], blade[1]), -blade[2]))
         held = held_by_hand(state)

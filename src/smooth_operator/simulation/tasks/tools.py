@@ -85,7 +85,7 @@ class HammerScorer:
         return _unfinished(partly, self.gone, f"nail in by {1e3 * self.depth:.0f} mm")
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
         holds = held_by_hand(state) and state.mechanism >= DRIVEN[1] * self.scene.scale
         held = held_since(self.held, holds, state.time)
         return replace(
@@ -121,7 +121,7 @@ class TongsScorer:
         return _unfinished(self.shut > 0, self.gone, f"shut {self.shut} times in the air")
 
     def observe(self, state: SceneState) -> Self:
-        """Returns the scorer after a later state of the scene."""
+        """Returns the scorer, updated with a later state of the scene."""
         lifted = held_by_hand(state) and float(state.position[2]) >= self.scene.target[2]
         gap = self.scene.gap(state.mechanism) / self.scene.scale
         shuts = lifted and self.shut == self.opened and gap <= SHUT_BELOW

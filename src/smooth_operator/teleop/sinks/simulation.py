@@ -217,7 +217,7 @@ class Simulation(Sink):
                 world.watchers[side] = watcher
 
     def reset_object(self, side: Side) -> int:
-        """Puts the object back to its start at the next step; raises the same errors as
+        """Returns the object to its starting pose at the next step; raises the same errors as
         ``scene_of``.
 
         Returns:

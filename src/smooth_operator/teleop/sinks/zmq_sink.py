@@ -80,7 +80,7 @@ class ZmqSink(ThreadedSink):
 
 
 def episode_actions(counts: dict[str, int]) -> dict[str, Callable[[], None]]:
-    """Actions of ``EPISODE_ACTIONS``; each call increases the action's count in ``counts``."""
+    """Returns a function for each action in ``counts``; a call of it increases the count by one."""
 
     def count(name: str) -> None:
         counts[name] += 1
