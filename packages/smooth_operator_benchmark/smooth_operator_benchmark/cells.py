@@ -37,7 +37,7 @@ class Settings:
 
     Attributes:
         output: folder of the results.
-        recordings: files, folders, or ``synthetic``; see ``benchmark.recordings``.
+        recordings: files, folders, or ``synthetic``; see ``smooth_operator_benchmark.recordings``.
         hands: names of robot hands.
         methods: names of methods, as for ``select_methods``.
         frames: range of frames ``A:B``, for recordings without their own range.

@@ -36,8 +36,8 @@ class Settings:
     Attributes:
         output: folder of the results.
         experiments: names of the experiments.
-        recordings: recordings, in the form for ``benchmark.recordings``; the built-in operator
-            if there are none.
+        recordings: recordings, in the form for ``smooth_operator_benchmark.recordings``; the
+            built-in operator if there are none.
         hand: name of the robot hand.
         frames: range ``A:B`` for each recording that has no range of its own.
         size: quick, default or published.
