@@ -201,6 +201,7 @@ LACK = {
     "train geort in.npz --output trained": "training",
 }
 MODULES = {
+    "smooth_operator.baselines.geort.training": "training",
     "smooth_operator.teleop.pages.player": "teleop",
     "smooth_operator.teleop.pages.live.live_page": "teleop",
     "smooth_operator.teleop.recording.log": "teleop",

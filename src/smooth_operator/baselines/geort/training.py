@@ -50,7 +50,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 
-require("training GeoRT", "lab", "optax")
+require("training GeoRT", "training", "optax")
 
 _FLOOR: Final = 1e-6  # motion below which a robot tip has no direction, as at a limit [m]
 
