@@ -99,11 +99,15 @@ Examples:
     """Print only one JSON object on standard output: the metrics, or for a folder its report."""
 
 
-COLLECTIONS: Final = Registry(
-    "retargeting", {}, elsewhere=dict.fromkeys(("folder", "dataset"), PART_OF_DATA_SETS)
-)
+COLLECTIONS: Final = Registry("retargeting", {})
 """Functions that retarget a folder of recordings, or a LeRobot data set, from the options and the
 folder or name of the source."""
+
+
+def _retarget_collection(kind: str, options: Retarget, source: str | Path) -> None:
+    if kind not in COLLECTIONS:
+        raise ConfigError(f"retargeting of a {kind} is {PART_OF_DATA_SETS}")
+    COLLECTIONS.load(kind)(options, source)
 
 
 def retarget(options: Retarget) -> None:
@@ -121,12 +125,12 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.wrist_following import add_wrist_commands
 
     if options.dataset is not None:
-        COLLECTIONS.load("dataset")(options, options.dataset)
+        _retarget_collection("dataset", options, options.dataset)
         return
     if options.recording is None:
         raise ConfigError("name a RECORDING or a FOLDER of recordings, or give --dataset")
     if options.recording.is_dir():
-        COLLECTIONS.load("folder")(options, options.recording)
+        _retarget_collection("folder", options, options.recording)
         return
     for name in ("workers", "cluster"):
         if getattr(options, name) is not None:
