@@ -2,9 +2,11 @@
 
 The human has published anatomy and a hand of 190 mm, and sees the object but no robot. The hand
 closes along one of two synergies, from open to a pinch of all fingers with the thumb or to a fist.
-It comes from above, closes until thumb and fingers would touch the object, and closes further, so
-that a robot hand that copies it presses. Then the wrist carries the object. ``plans`` says what the
-plans and synergies were tuned on.
+How bent the fingers are in the pinch differs between worlds, by as much as between six recordings
+of real hands (``research/benchmarks/grasp_postures.py``). The hand comes from above, closes until
+thumb and fingers would touch the object, and closes further, so that a robot hand that copies it
+presses. Then the wrist carries the object. ``plans`` says what the plans and synergies were tuned
+on.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from smooth_operator import poses
 from smooth_operator.errors import UnknownNameError
@@ -23,7 +26,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
 from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.scenes.physics import ObjectVariation, draw_wrist_variation
-from smooth_operator.synthetic.gestures import pinch_postures
+from smooth_operator.synthetic.gestures import FREE_LOWER, FREE_UPPER, pinch_postures
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
 from smooth_operator.types import HandRecording
@@ -42,6 +45,9 @@ _FIST: Final = np.deg2rad(
         [10, 25, 35, 30, *(4 * [0, 75, 95])],
     ]
 )  # free joint angles of the hand that opens, has its fingers around a handle, and is a fist
+_CURLS: Final = np.deg2rad([33.0, 67.0])  # flexion of the PIP joints in pinches of six recordings
+_SPREADS: Final = np.deg2rad([10.0, 10.0, 14.0, 16.0, 30.0])  # of the thumb's joints and the MCPs
+_CONTACT: Final = 0.0005  # distance that weighs as much as these angles [m]
 _REST: Final = 0.75  # share of the way from thumb to fingers of the point that rests in a grip
 _STEPS: Final = 400  # postures of the synergy, between which is interpolated
 
@@ -87,6 +93,11 @@ def world_variation(world: int) -> ObjectVariation:
     return draw_wrist_variation(np.random.default_rng(world))
 
 
+def curl_of(world: int) -> float:
+    """Draws the flexion of the human's PIP joints when thumb and fingers meet [rad]."""
+    return float(np.random.default_rng([world, 0xC0]).uniform(*_CURLS))
+
+
 def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
     """Records a human who does a task once.
 
@@ -105,7 +116,7 @@ def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
     ticks = TrackerStream(model).next(int(ends[-1] * model.rate_hz))
     moments = np.maximum(ticks.stamps - model.delay, 0.0)  # a frame shows the past
     gaps, centres, turns = _moves(plan.waypoints, ends, moments)
-    synergy_gaps, synergy = _fist() if plan.synergy == "fist" else _synergy()
+    synergy_gaps, synergy = _fist() if plan.synergy == "fist" else _synergy(curl_of(world))
     indices = np.arange(float(_STEPS))
     landmarks = _between(synergy, np.interp(gaps, synergy_gaps, indices))
     touching = _between(synergy, np.interp([plan.width], synergy_gaps, indices))
@@ -153,15 +164,30 @@ def _scene(task: str) -> Any:
 
 
 @lru_cache
-def _synergy() -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
-    """Gaps, increasing [m], and landmarks in the wrist frame [m] of the closing hand."""
-    pinches = pinch_postures(_PERSON)
-    closed = pinches[1].copy()
-    closed[:4] = pinches[:2, :4].mean(axis=0)  # the thumb meets index and middle finger
-    closed[4::3] = 0.0
-    closed[5::3], closed[6::3] = pinches[1, 8], pinches[1, 9]
-    share = np.linspace(0.93, 0.0, _STEPS)[:, None]
-    return _shown(_OPEN + share * (closed - _OPEN))
+def _synergy(curl: float) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
+    """Gaps, increasing [m], and landmarks in the wrist frame [m] of the closing hand.
+
+    Args:
+        curl: flexion of the PIP joints when thumb and fingers meet [rad].
+    """
+    closed = pinch_postures(_PERSON)[1].copy()
+    closed[4::3], closed[6::3] = 0.0, curl
+    moving = [*range(4), *range(5, 16, 3)]
+    start = np.r_[pinch_postures(_PERSON)[:2, :4].mean(axis=0), closed[8]]
+
+    def posture(x: Float[np.ndarray, "5"]) -> Float[np.ndarray, "16"]:
+        closed[moving] = [*x, *(3 * [x[4]])]
+        return closed
+
+    def residual(x: Float[np.ndarray, "5"]) -> Float[np.ndarray, "8"]:
+        points = _landmarks(posture(x)[None])[0]
+        apart = points[TIPS[0]] - points[list(TIPS[1:3])].mean(axis=0)
+        return np.asarray(np.concatenate([apart / _CONTACT, (x - start) / _SPREADS]))
+
+    bounds = (np.r_[FREE_LOWER[:4], FREE_LOWER[5]], np.r_[FREE_UPPER[:4], FREE_UPPER[5]])
+    solution = least_squares(residual, np.clip(start, *bounds), bounds=bounds).x
+    share = np.linspace(1.0, 0.0, _STEPS)[:, None]
+    return _shown(_OPEN + share * (posture(solution) - _OPEN))
 
 
 @lru_cache
@@ -174,9 +200,14 @@ def _fist() -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
 def _shown(
     free: Float[np.ndarray, "s 16"],
 ) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
-    points = pose_hand(draw_anatomy(HAND_LENGTH, _PERSON), couple(free)).landmarks
-    landmarks = np.stack([points[..., 2], points[..., 1], -points[..., 0]], axis=-1)
+    landmarks = _landmarks(free)
     return np.array([grip(one)[1] for one in landmarks]), landmarks
+
+
+def _landmarks(free: Float[np.ndarray, "s 16"]) -> Float[np.ndarray, "s 21 3"]:
+    """Landmarks in the wrist frame [m] for free joint angles [rad]."""
+    points = pose_hand(draw_anatomy(HAND_LENGTH, _PERSON), couple(free)).landmarks
+    return np.stack([points[..., 2], points[..., 1], -points[..., 0]], axis=-1)
 
 
 def _between(rows: Float[np.ndarray, "s 21 3"], at: Float[np.ndarray, " t"]) -> np.ndarray:
