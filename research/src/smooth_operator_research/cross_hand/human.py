@@ -170,7 +170,7 @@ def _synergy(curl: float) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s
     Args:
         curl: flexion of the PIP joints when thumb and fingers meet [rad].
     """
-    closed = pinch_postures(_PERSON)[1].copy()
+    closed = np.array(pinch_postures(_PERSON)[1])
     closed[4::3], closed[6::3] = 0.0, curl
     moving = [*range(4), *range(5, 16, 3)]
     start = np.r_[pinch_postures(_PERSON)[:2, :4].mean(axis=0), closed[8]]
@@ -182,7 +182,7 @@ def _synergy(curl: float) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s
     def residual(x: Float[np.ndarray, "5"]) -> Float[np.ndarray, "8"]:
         points = _landmarks(posture(x)[None])[0]
         apart = points[TIPS[0]] - points[list(TIPS[1:3])].mean(axis=0)
-        return np.asarray(np.concatenate([apart / _CONTACT, (x - start) / _SPREADS]))
+        return np.concatenate([apart / _CONTACT, (x - start) / _SPREADS])
 
     bounds = (np.r_[FREE_LOWER[:4], FREE_LOWER[5]], np.r_[FREE_UPPER[:4], FREE_UPPER[5]])
     solution = least_squares(residual, np.clip(start, *bounds), bounds=bounds).x
