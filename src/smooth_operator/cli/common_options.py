@@ -34,6 +34,12 @@ RARE: Final = frozenset(
 )
 """Shared options that only ``--help-all`` shows."""
 
+INSTALL_RESEARCH: Final = (
+    "python -m pip install . ./packages/smooth_operator_benchmark ./packages/smooth_operator_study "
+    "./research"
+)
+"""Command that installs the project's own experiments, in a clone."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Common:

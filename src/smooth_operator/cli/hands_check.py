@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Quiet
+from smooth_operator.cli.common_options import INSTALL_RESEARCH, Common, HandSide, Quiet
 from smooth_operator.errors import ConfigError
 from smooth_operator.plugins import Registry
 
@@ -67,9 +67,8 @@ SCORECARDS: Final = Registry(
     {},
     elsewhere={
         "card": (
-            "part of the package smooth-retargeting-research: python -m pip install . "
-            "./packages/smooth_operator_benchmark ./packages/smooth_operator_study ./research "
-            "in a clone of the repository"
+            f"part of the package smooth-retargeting-research: {INSTALL_RESEARCH} in a clone of "
+            "the repository"
         )
     },
 )

@@ -21,7 +21,7 @@ import tyro
 from tyro.conf import Suppress, arg
 
 from smooth_operator.cli.calibrate import Calibrate
-from smooth_operator.cli.common_options import Common, Group, described
+from smooth_operator.cli.common_options import INSTALL_RESEARCH, Common, Group, described
 from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor import Doctor
@@ -257,11 +257,7 @@ _STUDY: Final = (
     'python -m pip install ".[teleop]" ./packages/smooth_operator_study',
 )
 _DEVICES: Final = (f"the distribution {DEVICES}", devices_command())
-_RESEARCH: Final = (
-    "the research distribution",
-    "python -m pip install . ./packages/smooth_operator_benchmark ./packages/smooth_operator_study "
-    "./research",
-)
+_RESEARCH: Final = ("the research distribution", INSTALL_RESEARCH)
 _DISTRIBUTIONS: Final = {
     "bench": _BENCHMARK,
     "study": _STUDY,
