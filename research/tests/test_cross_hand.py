@@ -35,6 +35,20 @@ def test_the_same_world_gives_the_same_recording_and_another_one_another():
 
 
 @pytest.mark.parametrize("task", list(PLANS))
+def test_the_human_moves_without_jumps_and_each_world_has_another_person(task):
+    first, second = (record(task, world, "glove") for world in (0, 3))
+    for demonstration in (first, second):
+        steps = np.diff(demonstration.landmarks[:, list(TIPS)], axis=0)
+        speeds = np.linalg.norm(steps, axis=-1) / np.diff(demonstration.times)[:, None]
+        assert speeds.max() < 0.5  # [m/s]
+    bones = [
+        np.linalg.norm(one.landmarks[:, 6] - one.landmarks[:, 5], axis=-1).mean()
+        for one in (first, second)
+    ]
+    assert abs(bones[0] - bones[1]) > 0.0003
+
+
+@pytest.mark.parametrize("task", list(PLANS))
 def test_the_human_reaches_around_the_object_and_squeezes(task):
     demonstration = record(task, 1, "glove")
     gaps = np.array([grip(one)[1] for one in demonstration.landmarks])

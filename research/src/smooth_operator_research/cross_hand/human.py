@@ -1,12 +1,12 @@
 """A scripted human who does a task with a moving wrist once per world, whatever the robot hand.
 
-The human has published anatomy and a hand of 190 mm, and sees the object but no robot. The hand
-closes along one of two synergies, from open to a pinch of all fingers with the thumb or to a fist.
-How bent the fingers are in the pinch differs between worlds, by as much as between six recordings
-of real hands (``research/benchmarks/grasp_postures.py``). The hand comes from above, closes until
-thumb and fingers would touch the object, and closes further, so that a robot hand that copies it
-presses. Then the wrist carries the object. ``plans`` says what the plans and synergies were tuned
-on.
+The human sees the object but no robot. Each world has another person, with a hand of 190 mm and
+bone lengths around published means. The hand closes along one of two synergies, from open to a
+pinch of all fingers with the thumb or to a fist. How bent the fingers are in the pinch differs
+between people, by as much as between six recordings of real hands
+(``research/benchmarks/grasp_postures.py``). The hand comes from above, closes until thumb and
+fingers would touch the object, and closes further, so that a robot hand that copies it presses.
+Then the wrist carries the object. ``plans`` says what the plans and synergies were tuned on.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ from smooth_operator.synthetic.gestures import FREE_LOWER, FREE_UPPER, pinch_pos
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
 from smooth_operator.types import HandRecording
-from smooth_operator_research.cross_hand.plans import PLANS, Waypoint
+from smooth_operator_research.cross_hand.plans import FIST_GAPS, PLANS, Waypoint
 from smooth_operator_research.cross_hand.scenes import HAND_LENGTH
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 
-_PERSON: Final = 0  # seed of the anatomy
 _OPEN: Final = np.deg2rad(
     [-16, 22, 0, 0, 4, 12, 14, 0, 12, 14, -4, 12, 14, -8, 12, 14]
 )  # free joint angles of the open hand
@@ -58,7 +57,7 @@ class HumanDemonstration:
 
     Attributes:
         task: name of the task.
-        world: number of the world.
+        world: number of the world, and of the person.
         variation: the world's object.
         tracker: kind of tracker: ``glove``, ``headset`` or ``camera``.
         times: (t,) times of the frames [s].
@@ -93,9 +92,9 @@ def world_variation(world: int) -> ObjectVariation:
     return draw_wrist_variation(np.random.default_rng(world))
 
 
-def curl_of(world: int) -> float:
-    """Draws the flexion of the human's PIP joints when thumb and fingers meet [rad]."""
-    return float(np.random.default_rng([world, 0xC0]).uniform(*_CURLS))
+def curl_of(person: int) -> float:
+    """Draws the flexion of a person's PIP joints when thumb and fingers meet [rad]."""
+    return float(np.random.default_rng([person, 0xC0]).uniform(*_CURLS))
 
 
 def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
@@ -116,7 +115,7 @@ def record(task: str, world: int, tracker: str = "glove") -> HumanDemonstration:
     ticks = TrackerStream(model).next(int(ends[-1] * model.rate_hz))
     moments = np.maximum(ticks.stamps - model.delay, 0.0)  # a frame shows the past
     gaps, centres, turns = _moves(plan.waypoints, ends, moments)
-    synergy_gaps, synergy = _fist() if plan.synergy == "fist" else _synergy(curl_of(world))
+    synergy_gaps, synergy = _fist(world) if plan.synergy == "fist" else _synergy(world)
     indices = np.arange(float(_STEPS))
     landmarks = _between(synergy, np.interp(gaps, synergy_gaps, indices))
     touching = _between(synergy, np.interp([plan.width], synergy_gaps, indices))
@@ -164,49 +163,42 @@ def _scene(task: str) -> Any:
 
 
 @lru_cache
-def _synergy(curl: float) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
-    """Gaps, increasing [m], and landmarks in the wrist frame [m] of the closing hand.
-
-    Args:
-        curl: flexion of the PIP joints when thumb and fingers meet [rad].
-    """
-    closed = np.array(pinch_postures(_PERSON)[1])
-    closed[4::3], closed[6::3] = 0.0, curl
+def _synergy(person: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
+    """Gaps, increasing [m], and landmarks in the wrist frame [m] of a person's closing hand."""
+    pinches = pinch_postures(person)
+    closed = np.array(pinches[1])
+    closed[4::3], closed[6::3] = 0.0, curl_of(person)
     moving = [*range(4), *range(5, 16, 3)]
-    start = np.r_[pinch_postures(_PERSON)[:2, :4].mean(axis=0), closed[8]]
+    start = np.r_[pinches[:2, :4].mean(axis=0), closed[8]]
 
     def posture(x: Float[np.ndarray, "5"]) -> Float[np.ndarray, "16"]:
         closed[moving] = [*x, *(3 * [x[4]])]
         return closed
 
     def residual(x: Float[np.ndarray, "5"]) -> Float[np.ndarray, "8"]:
-        points = _landmarks(posture(x)[None])[0]
+        points = _landmarks(person, posture(x)[None])[0]
         apart = points[TIPS[0]] - points[list(TIPS[1:3])].mean(axis=0)
         return np.concatenate([apart / _CONTACT, (x - start) / _SPREADS])
 
     bounds = (np.r_[FREE_LOWER[:4], FREE_LOWER[5]], np.r_[FREE_UPPER[:4], FREE_UPPER[5]])
     solution = least_squares(residual, np.clip(start, *bounds), bounds=bounds).x
     share = np.linspace(1.0, 0.0, _STEPS)[:, None]
-    return _shown(_OPEN + share * (posture(solution) - _OPEN))
-
-
-@lru_cache
-def _fist() -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
-    """The same of a hand that closes to a fist, the thumb last."""
-    share = np.linspace(2.0, 0.0, _STEPS)
-    return _shown(np.stack([np.interp(share, (0, 1, 2), angle) for angle in _FIST.T], axis=1))
-
-
-def _shown(
-    free: Float[np.ndarray, "s 16"],
-) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
-    landmarks = _landmarks(free)
+    landmarks = _landmarks(person, _OPEN + share * (posture(solution) - _OPEN))
     return np.array([grip(one)[1] for one in landmarks]), landmarks
 
 
-def _landmarks(free: Float[np.ndarray, "s 16"]) -> Float[np.ndarray, "s 21 3"]:
-    """Landmarks in the wrist frame [m] for free joint angles [rad]."""
-    points = pose_hand(draw_anatomy(HAND_LENGTH, _PERSON), couple(free)).landmarks
+@lru_cache
+def _fist(person: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
+    """The same of a hand that closes to a fist, the thumb last. Each of ``FIST_GAPS`` stands for
+    one posture, because the fingertips of a fist part again at its end."""
+    share = np.linspace(2.0, 0.0, _STEPS)
+    angles = np.stack([np.interp(share, (0, 1, 2), angle) for angle in _FIST.T], axis=1)
+    return np.interp(share, (0, 1, 2), FIST_GAPS), _landmarks(person, angles)
+
+
+def _landmarks(person: int, free: Float[np.ndarray, "s 16"]) -> Float[np.ndarray, "s 21 3"]:
+    """Landmarks of a person in the wrist frame [m] for free joint angles [rad]."""
+    points = pose_hand(draw_anatomy(HAND_LENGTH, person), couple(free)).landmarks
     return np.stack([points[..., 2], points[..., 1], -points[..., 0]], axis=-1)
 
 

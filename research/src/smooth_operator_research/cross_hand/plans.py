@@ -102,7 +102,9 @@ def relocate_plan(scene: RelocateScene) -> Plan:
     )
 
 
-_OPEN_FIST, _AROUND, _FIST = 0.125, 0.079, 0.068  # gaps: open, around the handle, pressing [m]
+FIST_GAPS: Final = (0.125, 0.079, 0.068)
+"""Distances of thumb and fingers in a hand that is open, around a handle, and a fist [m]."""
+_OPEN_FIST, _AROUND, _FIST = FIST_GAPS
 _HAMMER_PITCH: Final = np.radians(15.0)
 _INSIDE: Final = np.array([0.0, 0.0, -0.04])  # from the handle to the open hand's grasp centre [m]
 _BLOWS: Final = 8
