@@ -229,20 +229,18 @@ def _chance(p: float) -> str:
 
 
 def trackers_table(outcomes: Outcomes) -> Table:
-    """Mean success over tasks and hands by tracker."""
+    """Mean success over hands by task and tracker."""
     rows = []
     trackers = _ordered((own for _, own, _ in outcomes.of() if own), TRACKERS)
-    for tracker in trackers:
-        row = [tracker]
-        for method in outcomes.methods:
-            parts = [
-                part
-                for task in outcomes.tasks
-                if np.isfinite(part := outcomes.successes(task, method, tracker)).any()
-            ]
-            row.append(_estimate(parts, _draws(parts)) if parts else "–")
-        rows.append(row)
-    return Table("trackers", ["tracker", *map(label, outcomes.methods)], rows)
+    for tasks in [*([task] for task in outcomes.tasks), outcomes.tasks]:
+        for tracker in trackers:
+            row = [tasks[0] if len(tasks) == 1 else "all tasks", tracker]
+            for method in outcomes.methods:
+                parts = [outcomes.successes(task, method, tracker) for task in tasks]
+                parts = [part for part in parts if np.isfinite(part).any()]
+                row.append(_estimate(parts, _draws(parts)) if parts else "–")
+            rows.append(row)
+    return Table("trackers", ["task", "tracker", *map(label, outcomes.methods)], rows)
 
 
 def _by_task(outcomes: Outcomes, title: str, text: Callable[[list[Trial]], str]) -> Table:
