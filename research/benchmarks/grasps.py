@@ -42,14 +42,14 @@ def successes(work: Work) -> dict[str, int]:
     """Number of trials with score 1 in each task."""
     hand = load_hand(work.hand, "right")
     counts = dict.fromkeys(PLANS, 0)
-    for task in PLANS:
-        for world in work.worlds:
-            tracker = tracker_of(world)
-            demonstration = record(task, world, tracker)
-            # the pinch gaps of a headset are unknown
-            known = tracker if work.gaps else "headset"
-            (commands,) = retarget(hand, work.method, [demonstration], known)
-            counts[task] += replay(hand, demonstration, commands.joint_positions).score == 1.0
+    for tracker in dict.fromkeys(map(tracker_of, work.worlds)):
+        worlds = [world for world in work.worlds if tracker_of(world) == tracker]
+        demonstrations = [record(task, world, tracker) for task in PLANS for world in worlds]
+        # the pinch gaps of a headset are unknown
+        known = tracker if work.gaps else "headset"
+        retargeted = retarget(hand, work.method, demonstrations, known)
+        for one, commands in zip(demonstrations, retargeted, strict=True):
+            counts[one.task] += replay(hand, one, commands.joint_positions).score == 1.0
     return counts
 
 

@@ -189,8 +189,9 @@ def _synergy(person: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s
 
 @lru_cache
 def _fist(person: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s 21 3"]]:
-    """The same of a hand that closes to a fist, the thumb last. Each of ``FIST_GAPS`` stands for
-    one posture, because the fingertips of a fist part again at its end."""
+    """Gaps and landmarks, as in ``_synergy``, of a person's hand that closes to a fist, the thumb
+    last. Each of ``FIST_GAPS`` stands for one posture: the real gap grows again at the end, so it
+    can't tell how far the fist is closed."""
     share = np.linspace(2.0, 0.0, _STEPS)
     angles = np.stack([np.interp(share, (0, 1, 2), angle) for angle in _FIST.T], axis=1)
     return np.interp(share, (0, 1, 2), FIST_GAPS), _landmarks(person, angles)

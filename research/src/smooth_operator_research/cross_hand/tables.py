@@ -156,16 +156,29 @@ def _share(outcomes: Outcomes, place: Place) -> str:
 
 def means_table(outcomes: Outcomes) -> Table:
     """Mean success over the hands that can do a task, with bootstrap intervals over worlds."""
-    rows = []
-    for tasks in [*([task] for task in outcomes.tasks), outcomes.tasks]:
-        row = [tasks[0] if len(tasks) == 1 else "all tasks", str(_able(outcomes, tasks))]
-        for method in outcomes.methods:
-            parts = [
-                p for task in tasks if np.isfinite(p := outcomes.successes(task, method)).any()
-            ]
-            row.append(_estimate(parts, _draws(parts)) if parts else "–")
-        rows.append(row)
+    rows = [
+        [
+            name,
+            str(_able(outcomes, tasks)),
+            *(_success(outcomes, tasks, method) for method in outcomes.methods),
+        ]
+        for name, tasks in _groups(outcomes)
+    ]
     return Table("means", ["task", "hands", *map(label, outcomes.methods)], rows)
+
+
+def _groups(outcomes: Outcomes) -> list[tuple[str, list[str]]]:
+    """Name and tasks of each row of a table: each task alone, then all tasks."""
+    return [*((task, [task]) for task in outcomes.tasks), ("all tasks", outcomes.tasks)]
+
+
+def _success(
+    outcomes: Outcomes, tasks: Sequence[str], method: str, tracker: str | None = None
+) -> str:
+    """Mean success of a method over hands and tasks, with its interval."""
+    parts = [outcomes.successes(task, method, tracker) for task in tasks]
+    parts = [part for part in parts if np.isfinite(part).any()]
+    return _estimate(parts, _draws(parts)) if parts else "–"
 
 
 def _able(outcomes: Outcomes, tasks: Sequence[str]) -> int:
@@ -194,8 +207,8 @@ def differences_table(outcomes: Outcomes) -> Table:
     first, *others = outcomes.methods
     texts: list[list[str]] = []
     chances: list[float] = []
-    for tasks in [*([task] for task in outcomes.tasks), outcomes.tasks]:
-        texts.append([tasks[0] if len(tasks) == 1 else "all tasks"])
+    for name, tasks in _groups(outcomes):
+        texts.append([name])
         for other in others:
             parts = [
                 outcomes.successes(task, first) - outcomes.successes(task, other) for task in tasks
@@ -230,16 +243,16 @@ def _chance(p: float) -> str:
 
 def trackers_table(outcomes: Outcomes) -> Table:
     """Mean success over hands by task and tracker."""
-    rows = []
     trackers = _ordered((own for _, own, _ in outcomes.of() if own), TRACKERS)
-    for tasks in [*([task] for task in outcomes.tasks), outcomes.tasks]:
-        for tracker in trackers:
-            row = [tasks[0] if len(tasks) == 1 else "all tasks", tracker]
-            for method in outcomes.methods:
-                parts = [outcomes.successes(task, method, tracker) for task in tasks]
-                parts = [part for part in parts if np.isfinite(part).any()]
-                row.append(_estimate(parts, _draws(parts)) if parts else "–")
-            rows.append(row)
+    rows = [
+        [
+            name,
+            tracker,
+            *(_success(outcomes, tasks, method, tracker) for method in outcomes.methods),
+        ]
+        for name, tasks in _groups(outcomes)
+        for tracker in trackers
+    ]
     return Table("trackers", ["task", "tracker", *map(label, outcomes.methods)], rows)
 
 
