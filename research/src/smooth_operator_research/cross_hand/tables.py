@@ -204,14 +204,34 @@ def _estimate(
 def differences_table(outcomes: Outcomes) -> Table:
     """First method minus each other one, paired by hand and world, with Holm's correction over the
     table."""
+    groups = [(name, tasks, outcomes.hands) for name, tasks in _groups(outcomes)]
+    return _differences("differences", "task", outcomes, groups)
+
+
+def hands_table(outcomes: Outcomes) -> Table:
+    """First method minus each other one on each hand, as mean over tasks, paired by world, with
+    Holm's correction over the table."""
+    groups = [(f"`{hand}`", outcomes.tasks, [hand]) for hand in outcomes.hands]
+    return _differences("hands", "hand", outcomes, groups)
+
+
+def _differences(
+    title: str,
+    head: str,
+    outcomes: Outcomes,
+    groups: Sequence[tuple[str, Sequence[str], Sequence[str]]],
+) -> Table:
+    """Table of the first method minus each other one, with a row for each name, tasks and hands."""
     first, *others = outcomes.methods
     texts: list[list[str]] = []
     chances: list[float] = []
-    for name, tasks in _groups(outcomes):
+    for name, tasks, hands in groups:
+        chosen = [outcomes.hands.index(hand) for hand in hands]
         texts.append([name])
         for other in others:
             parts = [
-                outcomes.successes(task, first) - outcomes.successes(task, other) for task in tasks
+                (outcomes.successes(task, first) - outcomes.successes(task, other))[chosen]
+                for task in tasks
             ]
             parts = [part for part in parts if np.isfinite(part).any()]
             if not parts:
@@ -228,7 +248,7 @@ def differences_table(outcomes: Outcomes) -> Table:
         ]
         for row in texts
     ]
-    return Table("differences", ["task", *(f"minus {label(other)}" for other in others)], rows)
+    return Table(title, [head, *(f"minus {label(other)}" for other in others)], rows)
 
 
 def two_sided(draws: Float[np.ndarray, " b"]) -> float:
@@ -360,6 +380,7 @@ def data_table(outcomes: Outcomes) -> Table:
 TABLES: Final[dict[str, Callable[[Outcomes], Table]]] = {
     "means": means_table,
     "differences": differences_table,
+    "hands": hands_table,
     **{f"success-{task}": lambda o, t=task: success_table(o, t) for task in SIMULATED_TASKS},  # type: ignore[misc]
     "trackers": trackers_table,
     "times": times_table,
