@@ -223,16 +223,18 @@ def _differences(
 ) -> Table:
     """Table of the first method minus each other one, with a row for each name, tasks and hands."""
     first, *others = outcomes.methods
+    differences = {
+        (task, other): outcomes.successes(task, first) - outcomes.successes(task, other)
+        for task in outcomes.tasks
+        for other in others
+    }
     texts: list[list[str]] = []
     chances: list[float] = []
     for name, tasks, hands in groups:
         chosen = [outcomes.hands.index(hand) for hand in hands]
         texts.append([name])
         for other in others:
-            parts = [
-                (outcomes.successes(task, first) - outcomes.successes(task, other))[chosen]
-                for task in tasks
-            ]
+            parts = [differences[task, other][chosen] for task in tasks]
             parts = [part for part in parts if np.isfinite(part).any()]
             if not parts:
                 texts[-1].append("–")
