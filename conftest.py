@@ -244,6 +244,7 @@ def chromium() -> Iterator[Any]:
         "--use-angle=swiftshader",
         "--enable-unsafe-swiftshader",
         "--webgl-antialiasing-mode=none",
+        "--disable-gpu-compositing",
         "--disable-background-networking",
         "--disable-component-update",
         "--disable-sync",
