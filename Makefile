@@ -7,7 +7,7 @@ help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' Makefile
 
 install: ## create .venv with the package and everything that the tests need
-	python3 -m venv .venv
+	python3 -m venv --upgrade-deps .venv
 	.venv/bin/python -m pip install -q -c requirements.lock -e ".[test]" -e ./research -e "./packages/smooth_hand_datasets[objects]" -e ./packages/smooth_operator_benchmark -e ./packages/smooth_operator_study -e "./packages/smooth_operator_devices[test]"
 
 check: ## what CI runs: install, tests, lint, types
