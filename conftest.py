@@ -244,7 +244,7 @@ def chromium() -> Iterator[Any]:
         "--use-angle=swiftshader",
         "--enable-unsafe-swiftshader",
         "--webgl-antialiasing-mode=none",
-        "--disable-gpu-compositing",
+        "--disable-gpu-compositing",  # by software, it takes a third of the time of a page
         "--disable-background-networking",
         "--disable-component-update",
         "--disable-sync",
