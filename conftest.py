@@ -244,7 +244,7 @@ def chromium() -> Iterator[Any]:
         "--use-angle=swiftshader",
         "--enable-unsafe-swiftshader",
         "--webgl-antialiasing-mode=none",
-        "--disable-gpu-compositing",  # by software, it takes a third of the time of a page
+        "--disable-gpu-compositing",  # on a software GPU, that takes a third of the time
         "--disable-background-networking",
         "--disable-component-update",
         "--disable-sync",
